@@ -1,0 +1,1 @@
+"""The application: settings, event loop, recorder, replay, commands."""

@@ -1,0 +1,142 @@
+"""Reading the TOML file: every fault becomes one sentence with file, line and key."""
+
+from __future__ import annotations
+
+import difflib
+import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ValidationError
+
+from daemon.settings import Settings
+from drivers.can.displacement import build_decoders
+from drivers.can.settings import CanConfigError
+
+_LARGEST_FILE_BYTES = 1_000_000
+_UNITS = ("_mm_s", "_mm", "_ms", "_hz", "_dps", "_mb", "_minutes", "_samples", "_m", "_s", "_cm")
+
+
+class ConfigurationError(Exception):
+    """The configuration cannot be used; `sentences` say why, one each."""
+
+    def __init__(self, sentences: list[str]) -> None:
+        super().__init__("\n".join(sentences))
+        self.sentences = sentences
+
+
+def load(path: Path) -> Settings:
+    """Read and check a configuration file, DBC files included. Raises ConfigurationError."""
+    try:
+        with path.open("rb") as stream:
+            data = stream.read(_LARGEST_FILE_BYTES + 1)
+    except OSError as error:
+        raise ConfigurationError([f"{path}: cannot be read: {error.strerror}"]) from error
+    if len(data) > _LARGEST_FILE_BYTES:
+        raise ConfigurationError([f"{path}: is larger than 1 MB and no configuration file"])
+    try:
+        text = data.decode()
+        tree = tomllib.loads(text)
+    except UnicodeDecodeError as error:
+        raise ConfigurationError([f"{path}: is no text file (UTF-8)"]) from error
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise ConfigurationError([f"{path}: is not valid TOML: {error}"]) from error
+    _anchor_dbc_paths(tree, path.resolve().parent)
+    try:
+        settings = Settings.model_validate(tree)
+        check_can(settings)
+    except ValidationError as error:
+        raise ConfigurationError(_sentences(path, text, error)) from error
+    except CanConfigError as error:
+        raise ConfigurationError([f"{path}: [can] {error}"]) from error
+    return settings
+
+
+def check_can(settings: Settings) -> None:
+    """Raise CanConfigError if the CAN settings do not fit their DBC files."""
+    if settings.can.enabled:
+        build_decoders(settings.can)
+
+
+def _anchor_dbc_paths(tree: dict[str, Any], folder: Path) -> None:
+    """A relative DBC path is meant from the configuration file, not from wherever the daemon starts."""
+    can = tree.get("can")
+    for key in ("displacement", "reference"):
+        source = can.get(key) if isinstance(can, dict) else None
+        if isinstance(source, dict) and isinstance(source.get("dbc"), str):
+            source["dbc"] = str(folder / source["dbc"])
+
+
+def _sentences(path: Path, text: str, error: ValidationError) -> list[str]:
+    sentences = []
+    for fault in error.errors():
+        location = [str(part) for part in fault["loc"]]
+        line = _line_of(text, location)
+        place = f"{path}:{line}" if line else f"{path}"
+        sentences.append(f"{place}: {_describe(location, fault)}")
+    return sentences
+
+
+def _describe(location: list[str], fault: Any) -> str:
+    if not location:
+        return _plain(fault["msg"])
+    section, key = ".".join(location[:-1]), location[-1]
+    name = f"[{section}] {key}" if section else f"[{key}]"
+    if fault["type"] == "extra_forbidden":
+        return f"{name} is unknown{_suggestion(location)}"
+    if fault["type"] == "value_error":
+        return f"{name}: {_plain(fault['msg'])}"
+    return f"{name} = {fault['input']!r}: {_plain(fault['msg'])}{_unit_of(key)}"
+
+
+def _plain(message: str) -> str:
+    message = message.removeprefix("Value error, ")
+    message = message[:1].lower() + message[1:] if message.startswith("Input") else message
+    return message.replace("input should", "must")
+
+
+def _unit_of(key: str) -> str:
+    for unit in _UNITS:
+        if key.endswith(unit):
+            return f" (in {unit[1:].replace('_', '/')})"
+    return ""
+
+
+def _suggestion(location: list[str]) -> str:
+    model: type[BaseModel] = Settings
+    for part in location[:-1]:
+        annotation = model.model_fields[part].annotation
+        candidates = [annotation, *getattr(annotation, "__args__", ())]
+        model = next(c for c in candidates if isinstance(c, type) and issubclass(c, BaseModel))
+    known = list(model.model_fields)
+    key = location[-1]
+    stem = re.sub("|".join(f"{unit}$" for unit in _UNITS), "", key)
+    other_unit = [name for name in known if name.startswith(stem + "_")]
+    close = other_unit or difflib.get_close_matches(key, known, n=1)
+    if close:
+        return f"; did you mean {close[0]}?"
+    return f"; known here: {', '.join(known)}"
+
+
+def _line_of(text: str, location: list[str]) -> int | None:
+    """Line of a key, or of its section if the key is not written there."""
+    section: list[str] = []
+    found = None
+    for number, line in enumerate(text.splitlines(), start=1):
+        header = re.match(r"\s*\[\s*([^\[\]]+?)\s*\]", line)
+        if header:
+            section = [part.strip().strip("\"'") for part in header.group(1).split(".")]
+            if section == location:
+                return number
+            if section == location[:-1]:
+                found = found or number
+            continue
+        key = re.match(r"\s*([\w.\"'-]+)\s*=", line)
+        if key:
+            full = section + [part.strip("\"'") for part in key.group(1).split(".")]
+            if full == location:
+                return number
+            if full == location[: len(full)]:
+                found = number  # an inline table
+    return found

@@ -1,0 +1,58 @@
+"""All settings of the program: one TOML file, every key optional, composed from the models of the parts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from daemon.recording.settings import RecorderSettings
+from drivers.adis16448.configuration import ImuSettings
+from drivers.can.settings import CanSettings
+from estimation.settings import EstimatorSettings, MountSettings, SupportSettings
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class ServiceSettings(_Section):
+    """The running daemon itself."""
+
+    socket: Path = Field(
+        Path("/run/ramstroke/live.sock"), description="Unix socket that `status` and viewers read"
+    )
+    state_file: Path = Field(
+        Path("/var/lib/ramstroke/state.json"), description="where the stroke is remembered over a restart"
+    )
+
+
+class SimulationSettings(_Section):
+    """The virtual support of `sim`, of `demo` and of the transport `virtual`."""
+
+    seed: int = Field(1, ge=0, description="seed of machine, sensors and noise")
+    scenario: Literal["nominal", "lab_bench"] = Field("nominal", description="distributions of the motion")
+    reference: bool = Field(True, description="let a laboratory sensor send its frames too")
+
+
+class Settings(_Section):
+    """The whole configuration file."""
+
+    imu: ImuSettings = Field(default_factory=ImuSettings)
+    can: CanSettings = Field(default_factory=CanSettings)
+    mount: MountSettings = Field(default_factory=MountSettings)
+    support: SupportSettings = Field(default_factory=SupportSettings)
+    estimator: EstimatorSettings = Field(default_factory=EstimatorSettings)
+    recording: RecorderSettings = Field(default_factory=RecorderSettings)
+    service: ServiceSettings = Field(default_factory=ServiceSettings)
+    simulation: SimulationSettings = Field(default_factory=SimulationSettings)
+
+    @model_validator(mode="after")
+    def _virtual_parts_belong_together(self) -> Self:
+        if self.imu.transport == "spidev" and self.can.enabled and self.can.interface == "virtual":
+            raise ValueError(
+                'can.interface = "virtual" exists only within one process: '
+                'with imu.transport = "spidev" choose "socketcan", or set can.enabled = false'
+            )
+        return self

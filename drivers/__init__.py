@@ -1,0 +1,1 @@
+"""Devices and their virtual twins, side by side."""

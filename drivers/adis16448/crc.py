@@ -1,0 +1,32 @@
+"""The checksum of a burst: a CRC-16 of the ADIS16448's own kind.
+
+The register starts at 0xFFFF, shifts right and is fed back with 0x1021 *not* bit-reversed; words go in low
+byte first; the result is complemented and its bytes are swapped. No library CRC has this combination.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+_FEEDBACK = 0x1021
+
+
+def _byte_step(register: int) -> int:
+    for _ in range(8):
+        register = (register >> 1) ^ (_FEEDBACK if register & 1 else 0)
+    return register
+
+
+CRC_TABLE: tuple[int, ...] = tuple(_byte_step(byte) for byte in range(256))
+
+
+def burst_crc(words: Iterable[int]) -> int:
+    """Checksum of the 11 unsigned 16-bit words XGYRO_OUT..TEMP_OUT (DIAG_STAT is not covered)."""
+    table = CRC_TABLE
+    register = 0xFFFF
+    for word in words:
+        register ^= word
+        register = (register >> 8) ^ table[register & 0xFF]
+        register = (register >> 8) ^ table[register & 0xFF]
+    register ^= 0xFFFF
+    return (register >> 8) | (register & 0xFF) << 8

@@ -1,0 +1,111 @@
+"""When is there a new sample? The data-ready line of the sensor, or a steady pace instead of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from drivers.clock import Clock
+from estimation.records import TimeKind
+
+# Deeper than any stall worth surviving needs: only the newest edge counts, the depth merely keeps the
+# kernel's own overflow rare.
+_EVENT_BUFFER = 64
+
+
+class DataReadyError(OSError):
+    """The data-ready line cannot be opened or read; the text is one sentence for a person."""
+
+
+@dataclass(slots=True, frozen=True)
+class Edge:
+    """The sample now in the sensor's registers: when it became valid, and what was lost before it."""
+
+    t_ns: int
+    kind: TimeKind
+    missed: int = 0
+
+
+class DataReady(Protocol):
+    """Tells when a new sample may be read."""
+
+    def wait(self, timeout_s: float) -> Edge | None:
+        """Wait for the next sample; None if the line stayed silent that long. Raises DataReadyError."""
+
+    def close(self) -> None:
+        """Release the line."""
+
+
+class GpiodDataReady:
+    """A GPIO line whose edges the kernel stamps with CLOCK_MONOTONIC (character device v2, gpiod 2.x)."""
+
+    def __init__(self, chip_path: str, line_offset: int, *, active_high: bool = True) -> None:
+        try:
+            import gpiod
+            from gpiod.line import Clock as EventClock
+            from gpiod.line import Direction
+            from gpiod.line import Edge as LineEdge
+        except ImportError:
+            raise DataReadyError(
+                f"cannot use {chip_path}: the Python module gpiod is missing, install ramstroke[hardware]"
+            ) from None
+        self._name = f"line {line_offset} of {chip_path}"
+        line = gpiod.LineSettings(
+            direction=Direction.INPUT,
+            edge_detection=LineEdge.RISING if active_high else LineEdge.FALLING,
+            event_clock=EventClock.MONOTONIC,
+        )
+        try:
+            self._request: Any = gpiod.request_lines(
+                chip_path, consumer="ramstroke", config={line_offset: line}, event_buffer_size=_EVENT_BUFFER
+            )
+        except (OSError, ValueError) as error:
+            raise DataReadyError(
+                f"cannot watch {self._name} for data-ready: {error}; set data_ready_chip and data_ready_line"
+            ) from error
+        self._last_number: int | None = None
+
+    def wait(self, timeout_s: float) -> Edge | None:
+        """Wait for an edge and return the newest one.
+
+        The part has no memory of older samples, so only the newest edge belongs to the registers. The
+        kernel numbers the edges, also those its full buffer dropped: one difference counts every loss.
+        """
+        try:
+            if not self._request.wait_edge_events(timeout_s):
+                return None
+            newest = self._request.read_edge_events()[-1]
+        except OSError as error:
+            raise DataReadyError(f"cannot read {self._name}: {error}") from error
+        missed = 0 if self._last_number is None else newest.line_seqno - self._last_number - 1
+        self._last_number = newest.line_seqno
+        return Edge(newest.timestamp_ns, TimeKind.EDGE, missed)
+
+    def close(self) -> None:
+        """Give the line back."""
+        self._request.release()
+
+
+class PacedDataReady:
+    """No line: a read every `period_s` on absolute deadlines, stamped with the time of the read."""
+
+    def __init__(self, clock: Clock, period_s: float) -> None:
+        self._clock = clock
+        self._period_ns = round(period_s * 1e9)
+        self._deadline_ns = clock.now_ns() + self._period_ns
+
+    def wait(self, timeout_s: float) -> Edge | None:
+        """Sleep until the next deadline; whole periods slept through count as missed."""
+        ahead_ns = self._deadline_ns - self._clock.now_ns()
+        if ahead_ns > timeout_s * 1e9:
+            self._clock.sleep(timeout_s)
+            return None
+        if ahead_ns > 0:
+            self._clock.sleep(ahead_ns / 1e9)
+        now_ns = self._clock.now_ns()
+        missed = max(0, (now_ns - self._deadline_ns) // self._period_ns)
+        self._deadline_ns += (missed + 1) * self._period_ns
+        return Edge(now_ns, TimeKind.READ, missed)
+
+    def close(self) -> None:
+        """Nothing to release."""

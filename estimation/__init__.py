@@ -1,0 +1,1 @@
+"""Pure estimation: records in, estimates out. No clock, no file, no event loop, no device."""

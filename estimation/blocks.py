@@ -1,0 +1,84 @@
+"""Cuts the stream of samples into steps: eight samples, counted from the start and after each gap."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from estimation.mount import Mount
+from estimation.records import ImuSample, Vector
+from estimation.track import Step
+from estimation.wavelet import CausalSmoother
+
+SAMPLES_PER_STEP = 8
+GAP_S = 0.05  # longer than any jitter, shorter than any burst
+GAP_PERIODS = 4.0  # of the source itself, if that is slow
+
+_ZERO: Vector = (0.0, 0.0, 0.0)
+
+
+@dataclass(slots=True)
+class BlockCutter:
+    """Streaming mean over eight samples, in support axes."""
+
+    smoother: CausalSmoother = field(default_factory=CausalSmoother)
+    count: int = 0
+    accel: Vector = _ZERO
+    gyro: Vector = _ZERO
+    last_ns: int | None = None
+    step_end_ns: int | None = None
+    period_s: float = 0.0  # of the samples, running mean
+    periods: int = 0
+    backward: int = 0  # samples dropped because their time was not later than the last one's
+
+    def add(self, sample: ImuSample, mount: Mount) -> tuple[float, Step | None]:
+        """Take one sample; returns the gap before it [s] (0 = none) and the step that it completes."""
+        gap_s = 0.0
+        if self.last_ns is not None:
+            dt_s = (sample.t_ns - self.last_ns) * 1e-9
+            if dt_s <= 0.0:
+                self.backward += 1
+                return 0.0, None
+            if dt_s > max(GAP_S, GAP_PERIODS * self.period_s):
+                gap_s = dt_s
+                self._start_anew()
+            else:
+                self.periods = min(self.periods + 1, 2000)
+                self.period_s += (dt_s - self.period_s) / self.periods
+        if self.step_end_ns is None:
+            # The first block after a start or a gap begins one period before its first sample.
+            self.step_end_ns = sample.t_ns - round(self.period_s * 1e9)
+        self.last_ns = sample.t_ns
+
+        accel, gyro = mount.to_support(sample.accel), mount.to_support(sample.gyro)
+        self.smoother.add(accel)
+        self.accel = _plus(self.accel, accel)
+        self.gyro = _plus(self.gyro, gyro)
+        self.count += 1
+        return gap_s, self._cut() if self.count == SAMPLES_PER_STEP else None
+
+    def _cut(self) -> Step:
+        assert self.last_ns is not None
+        assert self.step_end_ns is not None
+        step = Step(
+            t_ns=self.last_ns,
+            dt_s=(self.last_ns - self.step_end_ns) * 1e-9,
+            accel=_over(self.accel, self.count),
+            gyro=_over(self.gyro, self.count),
+            smooth=self.smoother.value(),
+        )
+        self.step_end_ns = self.last_ns
+        self.count, self.accel, self.gyro = 0, _ZERO, _ZERO
+        return step
+
+    def _start_anew(self) -> None:
+        self.smoother.clear()
+        self.count, self.accel, self.gyro = 0, _ZERO, _ZERO
+        self.step_end_ns = None
+
+
+def _plus(a: Vector, b: Vector) -> Vector:
+    return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
+
+
+def _over(a: Vector, n: int) -> Vector:
+    return (a[0] / n, a[1] / n, a[2] / n)

@@ -1,0 +1,109 @@
+"""Judgement of the observed displacement: what the sensor is thought to be, and which readings may be used."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import isfinite
+
+from estimation.records import CanState, Displacement
+
+GATE_SIGMAS = 4.5
+STUCK_READINGS = 6  # identical in a row ...
+STUCK_TRAVEL_M = 0.003  # ... while the piston must have moved this far
+BIASED_READINGS = 8  # outside the gate in a row, and inside it again to be trusted
+LATE_PERIODS, LATE_S = 3.0, 0.15
+SILENT_PERIODS, SILENT_S = 10.0, 1.0
+MARGIN_M = 0.04  # beyond the stroke: scale and offset are not known yet
+NOISE_FLOOR_M = 0.0003  # half a millimetre of resolution, uniform
+NOISE_MEMORY = 100  # readings
+
+
+@dataclass(slots=True)
+class Reading:
+    """One reading on its way through the estimator; `usable` can still be withdrawn within the buffer."""
+
+    t_ns: int
+    value_m: float
+    usable: bool = True
+    variance_m2: float = 0.0
+
+
+@dataclass(slots=True)
+class DisplacementSensor:
+    """Streaming judge. Feed every reading once, ask `state` at every step."""
+
+    noise_m2: float
+    stroke_m: float
+    noise_readings: float = 10.0  # weight of the prior
+    last_ns: int | None = None
+    last_value_m: float = 0.0
+    last_prediction_m: float = 0.0
+    period_s: float = 0.1
+    same_in_row: int = 0
+    travel_in_row_m: float = 0.0
+    rejected_in_row: int = 0
+    accepted_in_row: int = 0
+    invalid: bool = False
+    out_of_range: bool = False
+    stuck: bool = False
+    biased: bool = False
+
+    def judge(self, reading: Displacement, predicted_m: float) -> Reading:
+        """Take one reading in, with what the estimator expects of it; says whether it may be used."""
+        if self.last_ns is not None:
+            gap_s = (reading.t_ns - self.last_ns) * 1e-9
+            if 0 < gap_s < SILENT_S:
+                self.period_s += 0.1 * (gap_s - self.period_s)
+        first = self.last_ns is None
+        self.last_ns = reading.t_ns
+        self.invalid = not reading.valid or not isfinite(reading.value_m)
+        self.out_of_range = not self.invalid and not -MARGIN_M <= reading.value_m <= self.stroke_m + MARGIN_M
+        if self.invalid or self.out_of_range:
+            return Reading(reading.t_ns, reading.value_m, usable=False)
+
+        travelled = abs(predicted_m - self.last_prediction_m)
+        if not first and reading.value_m == self.last_value_m:
+            self.same_in_row += 1
+            self.travel_in_row_m += travelled
+        else:
+            if not first and not self.stuck:
+                self._learn_noise(reading.value_m - predicted_m, self.last_value_m - self.last_prediction_m)
+            self.same_in_row, self.travel_in_row_m = 0, 0.0
+        self.last_value_m, self.last_prediction_m = reading.value_m, predicted_m
+        self.stuck = self.same_in_row + 1 >= STUCK_READINGS and self.travel_in_row_m >= STUCK_TRAVEL_M
+        return Reading(reading.t_ns, reading.value_m, usable=not self.stuck, variance_m2=self.noise_m2)
+
+    def gated(self, accepted: bool) -> None:
+        """Hear from the filter whether the reading lay within its gate."""
+        self.accepted_in_row = self.accepted_in_row + 1 if accepted else 0
+        self.rejected_in_row = 0 if accepted else self.rejected_in_row + 1
+        if self.rejected_in_row >= BIASED_READINGS:
+            self.biased = True
+        elif self.accepted_in_row >= BIASED_READINGS:
+            self.biased = False
+
+    def state(self, t_ns: int) -> CanState:
+        """The sensor in one word, at time t."""
+        if self.last_ns is None:
+            return CanState.ABSENT
+        age_s = (t_ns - self.last_ns) * 1e-9
+        if age_s > max(SILENT_S, SILENT_PERIODS * self.period_s):
+            return CanState.SILENT
+        for ill, word in (
+            (self.invalid, CanState.INVALID),
+            (self.out_of_range, CanState.OUT_OF_RANGE),
+            (self.stuck, CanState.STUCK),
+            (self.biased, CanState.BIASED),
+            (age_s > max(LATE_S, LATE_PERIODS * self.period_s), CanState.LATE),
+        ):
+            if ill:
+                return word
+        return CanState.OK
+
+    def _learn_noise(self, residual_m: float, last_residual_m: float) -> None:
+        """Half the mean square of successive differences: blind to scale, offset and bow."""
+        difference = residual_m - last_residual_m
+        sample = min(0.5 * difference * difference, 16.0 * self.noise_m2)
+        self.noise_readings = min(self.noise_readings + 1.0, NOISE_MEMORY)
+        self.noise_m2 += (sample - self.noise_m2) / self.noise_readings
+        self.noise_m2 = max(self.noise_m2, NOISE_FLOOR_M**2)

@@ -1,0 +1,463 @@
+"""The one pipeline for live, simulated, replayed and tuned data: records in, estimates, moves and events out.
+
+Time enters only in the records, and steps are cut by count, so the same records give the same bytes, however they
+were handed over. All that it remembers is one tree of plain data, `PipelineState`.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+from functools import cache
+from math import log, sqrt
+
+from pydantic import TypeAdapter
+
+from estimation.blocks import SAMPLES_PER_STEP, BlockCutter
+from estimation.displacement_sensor import STUCK_READINGS, DisplacementSensor, Reading
+from estimation.mount import Mount
+from estimation.mskf import SPEED, Filter, P, V
+from estimation.records import (
+    CanState,
+    Displacement,
+    Estimate,
+    Event,
+    ImuSample,
+    Move,
+    MoveKind,
+    Output,
+    Record,
+    Tick,
+    Tier,
+)
+from estimation.segments import CONFIRM_START, Context, Decision, Motion, SegmentRecogniser
+from estimation.settings import EstimatorSettings, MountSettings, SupportSettings
+from estimation.slope import Slope
+from estimation.steps import Block, StepBank
+from estimation.supervision import Supervisor
+from estimation.track import SEGMENT_OF, STOP_BURST_S, Belief, Flow, Free, Phase, Step, Track
+
+LAG_S = 4.0  # the settled tier runs so far behind; every decision is taken within it
+WARM_UP_S = 3.0  # gyro bias and level must be known before a burst can be told from them
+SILENT_IMU_S = 0.25
+KNOWN_START_SIGMA_M = 0.0005
+FORBIDDEN_M, FORBIDDEN_SIGMA_M = 0.015, 0.03  # from an end of the stroke, and how well that must be known
+PERIOD_STEPS = 1.02  # kernels are built for step periods on this geometric grid
+
+
+@dataclass(slots=True)
+class Start:
+    """What is known of the stroke before the first record; None = undetermined."""
+
+    displacement_m: float | None = None
+    sigma_m: float = KNOWN_START_SIGMA_M
+
+
+@dataclass(slots=True)
+class PipelineState:
+    """Everything the pipeline remembers."""
+
+    settled: Track
+    head: Track
+    sensor: DisplacementSensor
+    cutter: BlockCutter = field(default_factory=BlockCutter)
+    bank: StepBank | None = None
+    recogniser: SegmentRecogniser = field(default_factory=SegmentRecogniser)
+    supervisor: Supervisor = field(default_factory=Supervisor)
+    slope: Slope = field(default_factory=Slope)
+    belief: list[Motion | Free] = field(default_factory=list)
+    buffer: deque[Step] = field(default_factory=deque)
+    pending: list[Reading] = field(default_factory=list)
+    first_ns: int | None = None
+    last_ns: int = 0  # end of the last step
+    moves: int = 0
+    can_state: CanState = CanState.ABSENT
+    can_states: deque[CanState] = field(default_factory=deque)  # beside `buffer`
+    worst_in_move: CanState = CanState.ABSENT
+
+
+@cache
+def _state_adapter() -> TypeAdapter[PipelineState]:
+    return TypeAdapter(PipelineState)
+
+
+class Pipeline:
+    """Feed it every record in order; `finish` at the end of a recording settles the rest."""
+
+    def __init__(
+        self,
+        mount: MountSettings | None = None,
+        support: SupportSettings | None = None,
+        estimator: EstimatorSettings | None = None,
+        latency_s: float = 0.0175,
+        start: Start | None = None,
+    ) -> None:
+        self._mount = Mount(mount or MountSettings())
+        self._support = support or SupportSettings()
+        self._settings = estimator or EstimatorSettings()
+        self._latency_s = latency_s
+        stroke_m = self._support.stroke_mm / 1e3
+        start = start or Start()
+        known = start.displacement_m is not None
+        track = Track.begin(
+            Filter.start(
+                p_m=start.displacement_m if start.displacement_m is not None else stroke_m / 2,
+                p_sigma_m=start.sigma_m if known else stroke_m / sqrt(12.0),
+                scale_sigma=self._settings.can_scale_sigma,
+                offset_sigma_m=self._settings.can_offset_sigma_mm / 1e3,
+                bow_sigma_m=self._settings.can_curvature_sigma_mm / 1e3,
+                stroke_m=stroke_m,
+            ),
+            self._support,
+            self._settings,
+        )
+        sensor = DisplacementSensor((self._settings.can_noise_mm / 1e3) ** 2, stroke_m)
+        self.state = PipelineState(settled=track, head=track.copy(), sensor=sensor)
+
+    # --- snapshot ---------------------------------------------------------------------------------------------
+
+    def snapshot(self) -> bytes:
+        """All that is remembered, as JSON; floats survive exactly."""
+        return _state_adapter().dump_json(self.state)
+
+    def restore(self, snapshot: bytes) -> None:
+        """Continue from a snapshot. Raises pydantic.ValidationError on foreign or damaged bytes."""
+        self.state = _state_adapter().validate_json(snapshot)
+
+    # --- the stream -------------------------------------------------------------------------------------------
+
+    def feed(self, record: Record) -> list[Output]:
+        """Take one record; returns what it brought about, oldest first."""
+        out: list[Output] = []
+        if isinstance(record, ImuSample):
+            self._feed_sample(record, out)
+        elif isinstance(record, Tick):
+            self._pass_time(record.t_ns, out)
+        elif not record.is_reference:
+            self._feed_reading(record, out)
+        return out
+
+    def finish(self) -> list[Output]:
+        """End of the data: settle what is still open, under the present belief."""
+        out: list[Output] = []
+        self._settle(out, until_ns=self.state.last_ns)
+        return out
+
+    def _feed_sample(self, sample: ImuSample, out: list[Output]) -> None:
+        s = self.state
+        if s.first_ns is None:
+            s.first_ns = s.last_ns = sample.t_ns
+        gap_s, step = s.cutter.add(sample, self._mount)
+        if gap_s:
+            out.append(Event(sample.t_ns, f"gap of {gap_s:.3f} s in the inertial samples"))
+            self._pass_time(sample.t_ns, out, even_short=True)
+        if step is not None:
+            self._take(step, out)
+
+    def _feed_reading(self, reading: Displacement, out: list[Output]) -> None:
+        s = self.state
+        if s.first_ns is None:
+            s.first_ns = s.last_ns = reading.t_ns
+        self._pass_time(reading.t_ns, out)
+        predicted_m, _ = s.head.filter.displacement_prediction(
+            (s.last_ns - reading.t_ns) * 1e-9 + self._latency_s
+        )
+        was_stuck = s.sensor.stuck
+        judged = s.sensor.judge(reading, predicted_m)
+        s.pending.append(judged)
+        if judged.usable:
+            s.slope.add(reading.t_ns, reading.value_m)
+        if s.sensor.stuck and not was_stuck:
+            self._withdraw_stuck_readings()
+
+    def _withdraw_stuck_readings(self) -> None:
+        """The sensor froze some readings ago: take those back and estimate again without them."""
+        s = self.state
+        readings = [reading for step in s.buffer for reading in step.readings] + s.pending
+        for reading in readings[-STUCK_READINGS:]:
+            reading.usable = False
+        s.slope.clear()
+        self._run_head_again()
+
+    def _pass_time(self, t_ns: int, out: list[Output], *, even_short: bool = False) -> None:
+        """Make a step without inertial samples if they have been silent for long."""
+        s = self.state
+        if s.first_ns is None:
+            s.first_ns = s.last_ns = t_ns
+        silent_s = (t_ns - s.last_ns) * 1e-9
+        if silent_s <= 0 or (silent_s < SILENT_IMU_S and not even_short):
+            return
+        if not s.belief or not isinstance(s.belief[-1], Free) or s.belief[-1].until_ns is not None:
+            self._go_free(s.last_ns)
+            out.append(Event(t_ns, "the inertial sensor is silent; the displacement sensor leads"))
+        zero = (0.0, 0.0, 0.0)
+        self._take(Step(t_ns, silent_s, zero, zero, zero, blind=True), out)
+
+    # --- one step ---------------------------------------------------------------------------------------------
+
+    def _take(self, step: Step, out: list[Output]) -> None:
+        s = self.state
+        step.readings, s.pending = s.pending, []
+        decision = None
+        if not step.blind:
+            decision = self._recognise(step)
+        s.last_ns = step.t_ns
+        s.buffer.append(step)
+        s.can_state = s.sensor.state(step.t_ns)
+        s.can_states.append(s.can_state)
+        if s.head.phase is not Phase.REST and s.can_state is not CanState.OK:
+            s.worst_in_move = s.can_state
+
+        if decision is not None:
+            out.append(Event(step.t_ns, f"{decision} ({_direction_word(s.recogniser.motion)})"))
+            self._believe(decision)
+            self._run_head_again()
+            if decision is Decision.STOP_CONFIRMED:
+                out.append(self._summary())
+        else:
+            for accepted in self._advance(s.head, step):
+                s.sensor.gated(accepted)
+            self._supervise(step, out)
+        out.append(self._estimate(s.head, step, s.can_state, Tier.PROVISIONAL))
+        self._settle(out, until_ns=step.t_ns - round(LAG_S * 1e9))
+
+    def _recognise(self, step: Step) -> Decision | None:
+        s = self.state
+        bank = self._bank(step)
+        block = Block(step.t_ns, step.accel[1], step.gyro[0], s.head.gravity_m_s2 or 9.8)
+        steps = bank.add(
+            block,
+            s.head.gyro_bias[0],
+            recent_event=s.recogniser.recent_event(step.t_ns),
+            resting=s.head.phase is Phase.REST,
+        )
+        step.vibration_m_s2 = bank.vibration_m_s2
+        step.step_m_s = steps.x[CONFIRM_START]
+        s.supervisor.see(step)
+        free = bool(s.belief) and isinstance(s.belief[-1], Free) and s.belief[-1].until_ns is None
+        assert s.first_ns is not None
+        if free or step.t_ns - s.first_ns < WARM_UP_S * 1e9:
+            return None
+        return s.recogniser.update(step.t_ns, steps, bank, self._context())
+
+    def _bank(self, step: Step) -> StepBank:
+        """The kernels, built for this source's own step period once that is known."""
+        s = self.state
+        if s.bank is None or (s.cutter.periods < 2000 and s.cutter.periods % 256 < SAMPLES_PER_STEP):
+            period_s = s.cutter.period_s * SAMPLES_PER_STEP or step.dt_s
+            dt_s = _on_grid(period_s)
+            if s.bank is None or s.bank.dt_s != dt_s:
+                s.bank = StepBank(dt_s)
+        return s.bank
+
+    def _context(self) -> Context:
+        s = self.state
+        state, stroke_m = s.head.filter.state, self._support.stroke_mm / 1e3
+        p, sigma = state.x[P], state.sigma(P)
+        known = sigma < FORBIDDEN_SIGMA_M
+        end_m = stroke_m if s.head.direction > 0 else 0.0
+        near_m = 3.0 * sqrt(sigma**2 + (0.02 * abs(p - s.head.start_m)) ** 2)
+        return Context(
+            push_speed=s.head.push.speed,
+            retract_speed=s.head.retract.speed,
+            push_forbidden=known and p > stroke_m - FORBIDDEN_M,
+            retract_forbidden=known and p < FORBIDDEN_M,
+            end_expected=abs(p - end_m) < near_m,
+        )
+
+    def _believe(self, decision: Decision) -> None:
+        """Bring the belief in line with what the recogniser decided."""
+        s = self.state
+        motion = s.recogniser.motion
+        if decision is Decision.START_PROPOSED:
+            assert motion is not None
+            s.belief.append(motion)
+            s.worst_in_move = s.can_state
+        elif decision is Decision.START_DISCARDED:
+            s.belief.pop()
+        else:
+            assert motion is not None
+            s.belief[-1] = motion
+        if decision is Decision.STOP_CONFIRMED:
+            s.recogniser.motion = None
+
+    def _advance(self, track: Track, step: Step) -> list[bool]:
+        return track.advance(step, self.state.belief, self._settings, self._latency_s)
+
+    def _run_head_again(self) -> None:
+        """From the settled track to the present, under the present belief."""
+        s = self.state
+        s.head = s.settled.copy()
+        for step in s.buffer:
+            self._advance(s.head, step)
+
+    def _settle(self, out: list[Output], until_ns: int) -> None:
+        s = self.state
+        while s.buffer and s.buffer[0].t_ns <= until_ns:
+            step, can_state = s.buffer.popleft(), s.can_states.popleft()
+            self._advance(s.settled, step)
+            out.append(self._estimate(s.settled, step, can_state, Tier.SETTLED))
+        if (
+            s.belief
+            and (end_ns := _end_ns(s.belief[0])) is not None
+            and end_ns < until_ns
+            and len(s.belief) > 1
+        ):
+            s.belief.pop(0)
+
+    # --- supervision ------------------------------------------------------------------------------------------
+
+    def _supervise(self, step: Step, out: list[Output]) -> None:
+        """Look for what no hypothesis of the recogniser explains."""
+        s = self.state
+        free = s.belief[-1] if s.belief and isinstance(s.belief[-1], Free) else None
+        if free is not None and free.until_ns is None:
+            if not step.blind and s.supervisor.calm(step.t_ns, free.from_ns, self._can_moves()):
+                s.belief[-1] = Free(free.from_ns, step.t_ns)
+                s.recogniser.rest(step.t_ns)
+                out.append(Event(step.t_ns, "at rest again after an unexplained motion"))
+            return
+        if not step.blind and s.supervisor.upset(step, s.head):
+            self._go_free(step.t_ns)
+            out.append(Event(step.t_ns, "motion that is neither a push nor a retract"))
+            return
+        self._compare_with_slope(step, out)
+
+    def _can_moves(self) -> bool:
+        s = self.state
+        fit = s.slope.fit(sqrt(s.sensor.noise_m2))
+        fresh = s.can_state is CanState.OK or s.can_state is CanState.BIASED
+        return fresh and fit is not None and abs(fit[0]) > max(0.2 * s.head.push.speed, 3.0 * fit[1])
+
+    def _compare_with_slope(self, step: Step, out: list[Output]) -> None:
+        """The displacement sensor moves while the ram is thought at rest, or stands while it is thought to move."""
+        s = self.state
+        if not step.readings or s.can_state not in (CanState.OK, CanState.BIASED):
+            return
+        fit = s.slope.fit(sqrt(s.sensor.noise_m2))
+        if fit is None:
+            return
+        slope, sigma = fit
+        since_ns = s.slope.readings[0][0]
+        last = s.belief[-1] if s.belief else None
+        if s.head.phase is Phase.REST and s.recogniser.resting:
+            if last is not None and (end := _end_ns(last)) is not None and end > since_ns:
+                # The window still holds the end of the last move: a stop that was none shows the full speed.
+                if not isinstance(last, Motion) or step.t_ns - end < 1.2e9:
+                    return
+            if abs(slope) < max(0.4 * s.head.push.speed, 4.0 * sigma):
+                return
+            self._reopen_or_follow(step, last, slope, out)
+        elif s.head.phase is Phase.CRUISE and s.recogniser.motion is not None:
+            expected = s.head.filter.state.x[SPEED]
+            cruising = (since_ns - s.recogniser.motion.onset_ns) * 1e-9 > 1.0
+            if cruising and abs(slope) < 0.3 * abs(expected) and abs(slope - expected) > 5.0 * sigma:
+                self._stop_by_slope(step, expected, out)
+
+    def _reopen_or_follow(
+        self, step: Step, last: Motion | Free | None, slope: float, out: list[Output]
+    ) -> None:
+        s = self.state
+        settled_ns = step.t_ns - round(LAG_S * 1e9)
+        if isinstance(last, Motion) and last.stop_ns is not None and last.stop_ns > settled_ns:
+            if slope * last.direction > 0:
+                motion = Motion(last.direction, last.onset_ns, last.slow, confirmed=True)
+                s.belief[-1] = motion
+                s.recogniser.motion = motion
+                s.recogniser.ignore_before_ns = step.t_ns - round(1e9)
+                self._run_head_again()
+                out.append(
+                    Event(step.t_ns, "the stop was none: the displacement sensor still moves; move re-opened")
+                )
+                return
+        self._go_free(step.t_ns - round(2e9))
+        out.append(Event(step.t_ns, "the displacement sensor moves although no start was felt; following it"))
+
+    def _stop_by_slope(self, step: Step, expected: float, out: list[Output]) -> None:
+        """No stop was felt, but the sensor stands: the ram stopped where its path met the reading."""
+        s = self.state
+        motion = s.recogniser.motion
+        assert motion is not None
+        predicted, _ = s.head.filter.displacement_prediction(0.0)
+        overrun_s = (predicted - s.slope.mean()) / expected
+        stop_ns = max(step.t_ns - round(max(overrun_s, 0.0) * 1e9), motion.onset_ns + round(1e9))
+        stopped = Motion(motion.direction, motion.onset_ns, motion.slow, True, stop_ns, True)
+        s.belief[-1] = stopped
+        s.recogniser.rest(step.t_ns)
+        self._run_head_again()
+        out.append(Event(step.t_ns, "no stop was felt, but the displacement sensor stands; move ended"))
+        if s.head.ending is not None:
+            out.append(self._summary())
+
+    def _go_free(self, from_ns: int) -> None:
+        s = self.state
+        if s.belief and isinstance(s.belief[-1], Motion) and s.belief[-1].stop_ns is None:
+            motion = s.belief.pop()
+            from_ns = min(from_ns, motion.onset_ns) if not motion.confirmed else from_ns
+        s.belief.append(Free(from_ns))
+        s.recogniser.motion = None
+        self._run_head_again()
+
+    # --- outputs ----------------------------------------------------------------------------------------------
+
+    def _estimate(self, track: Track, step: Step, can_state: CanState, tier: Tier) -> Estimate:
+        state = track.filter.state
+        lower, upper = track.chart.limits
+        fresh = any(reading.usable for reading in step.readings)
+        return Estimate(
+            t_ns=step.t_ns,
+            displacement_m=state.x[P],
+            sigma_m=state.sigma(P),
+            velocity_m_s=state.x[V],
+            velocity_sigma_m_s=state.sigma(V),
+            segment=SEGMENT_OF[track.phase],
+            tier=tier,
+            can_state=can_state,
+            move=track.started,
+            acceleration_m_s2=track.acceleration_m_s2,
+            chart_lower_m_s2=lower,
+            chart_upper_m_s2=upper,
+            step_m_s=step.step_m_s,
+            innovation_m=track.innovation_m if fresh else float("nan"),
+            gate_m=track.gate_m if fresh else float("nan"),
+        )
+
+    def _summary(self) -> Move:
+        s = self.state
+        motion, ending = s.belief[-1], s.head.ending
+        assert isinstance(motion, Motion)
+        assert motion.stop_ns is not None
+        assert ending is not None
+        s.moves += 1
+        return Move(
+            number=s.moves,
+            kind=MoveKind.PUSH if motion.direction > 0 else MoveKind.RETRACT,
+            onset_ns=motion.onset_ns,
+            stop_ns=motion.stop_ns,
+            start_m=ending.start_m,
+            end_m=ending.end_m,
+            sigma_m=ending.sigma_m,
+            end_before_stop_m=ending.end_before_stop_m,
+            sigma_before_stop_m=ending.sigma_before_stop_m,
+            velocity_m_s=ending.velocity_m_s,
+            can_state=s.worst_in_move,
+            tier=Tier.SETTLED,
+        )
+
+
+def _end_ns(item: Motion | Free) -> int | None:
+    if isinstance(item, Free):
+        return item.until_ns
+    return None if item.stop_ns is None else item.stop_ns + round(STOP_BURST_S * 1e9)
+
+
+def _direction_word(motion: Motion | None) -> str:
+    if motion is None:
+        return "none"
+    return MoveKind.PUSH if motion.direction > 0 else MoveKind.RETRACT
+
+
+def _on_grid(period_s: float) -> float:
+    """The nearest step period on a geometric grid through the nominal one, so that kernels are seldom rebuilt."""
+    nominal = SAMPLES_PER_STEP / 819.2
+    return float(nominal * PERIOD_STEPS ** round(log(period_s / nominal) / log(PERIOD_STEPS)))

@@ -1,0 +1,300 @@
+"""One pass of orientation and filter along the buffered steps, under a given belief about the segments.
+
+The pipeline keeps two: the settled track runs a few seconds behind, where no decision can change any more; the
+provisional one is a copy of it, run to the present, and run again from there whenever a decision changes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from math import sqrt
+
+from estimation.chart import ControlChart
+from estimation.displacement_sensor import GATE_SIGMAS, Reading
+from estimation.kernels import ACCEL_NOISE
+from estimation.mskf import LEVEL_DRIFT_M_S2, P, SPEED, V, Filter
+from estimation.orientation import IDENTITY, Quaternion, corrected, matrix, propagated
+from estimation.records import Segment, Vector
+from estimation.segments import Motion
+from estimation.settings import EstimatorSettings, SupportSettings
+
+BURST_LEAD_S = 0.1  # the refined onset may be this late
+START_BURST_S, SLOW_START_BURST_S = 0.9, 1.6
+STOP_BURST_S = 0.8
+SPEED_REACHED_S, SLOW_SPEED_REACHED_S = (0.55, 0.7, 0.85), (1.2, 1.35, 1.5)
+LEVEL_TIME_S = 3.0
+GYRO_BIAS_TIME_S = 10.0
+CHART_QUIET_S = 0.5
+HEALTHY_NIS = 3.0
+READINGS_FOR_EVIDENCE = 10
+STOP_NEAR_SIGMAS, STOP_NEAR_M = 3.0, 0.004
+
+
+class Phase(StrEnum):
+    """Part of a move, or none of one."""
+
+    REST = "rest"
+    START = "start"
+    CRUISE = "cruise"
+    STOP = "stop"
+    FREE = "free"
+
+
+SEGMENT_OF = {
+    Phase.REST: Segment.ZUPT,
+    Phase.START: Segment.VVS,
+    Phase.CRUISE: Segment.CVS,
+    Phase.STOP: Segment.VVS,
+    Phase.FREE: Segment.VVS,
+}
+
+
+@dataclass(slots=True, frozen=True)
+class Free:
+    """A time in which no model is known to hold; without `until_ns` it still goes on."""
+
+    from_ns: int
+    until_ns: int | None = None
+
+
+Belief = list[Motion | Free]  # in order of time
+
+
+def phase_at(t_ns: int, belief: Belief) -> tuple[Phase, Motion | None]:
+    """Phase at a time, and the move it belongs to."""
+    for item in reversed(belief):
+        if isinstance(item, Free):
+            if item.from_ns <= t_ns and (item.until_ns is None or t_ns < item.until_ns):
+                return Phase.FREE, None
+            continue
+        since_onset_s = (t_ns - item.onset_ns) * 1e-9
+        if since_onset_s < -BURST_LEAD_S:
+            continue
+        since_stop_s = -1.0 if item.stop_ns is None else (t_ns - item.stop_ns) * 1e-9
+        if since_stop_s >= STOP_BURST_S:
+            continue
+        if item.stop_ns is not None and since_stop_s >= -BURST_LEAD_S:
+            return Phase.STOP, item
+        burst_s = SLOW_START_BURST_S if item.slow else START_BURST_S
+        return (Phase.START if since_onset_s < burst_s else Phase.CRUISE), item
+    return Phase.REST, None
+
+
+@dataclass(slots=True)
+class Step:
+    """One pipeline step: block means in support axes and the readings that came with it."""
+
+    t_ns: int
+    dt_s: float
+    accel: Vector
+    gyro: Vector
+    smooth: Vector  # acceleration, causal wavelet
+    step_m_s: float = 0.0
+    vibration_m_s2: float = 0.0
+    blind: bool = False  # no inertial sample in it
+    readings: list[Reading] = field(default_factory=list)
+
+
+@dataclass(slots=True)
+class Flow:
+    """Usual speed of one direction [m/s] and its variance; learned from confirmed full strokes."""
+
+    speed: float
+    variance: float
+    moves: int = 0
+
+    def learn(self, speed: float, variance: float) -> None:
+        """Take the mean speed of one move in, with the variance that it tells of the usual speed."""
+        gain = self.variance / (self.variance + variance)
+        self.speed += gain * (speed - self.speed)
+        self.variance *= 1.0 - gain
+        self.moves += 1
+
+
+@dataclass(slots=True)
+class Ending:
+    """How the last move began and ended [m]."""
+
+    start_m: float
+    end_before_stop_m: float
+    sigma_before_stop_m: float
+    end_m: float
+    sigma_m: float
+    velocity_m_s: float
+
+
+@dataclass(slots=True)
+class Track:
+    """State of one pass."""
+
+    filter: Filter
+    push: Flow
+    retract: Flow
+    orientation: Quaternion = IDENTITY
+    gravity_m_s2: float = 0.0  # as felt at rest; 0 until the first sample
+    gyro_bias: Vector = (0.0, 0.0, 0.0)
+    gyro_bias_s: float = 0.0
+    rest_s: float = 0.0
+    chart: ControlChart = field(default_factory=ControlChart)
+    phase: Phase = Phase.REST
+    started: int = 0  # moves begun
+    direction: int = 1
+    start_m: float = 0.0
+    speed_checks: int = 0
+    nis: float = 1.0
+    readings_in_move: int = 0
+    ending: Ending | None = None
+    acceleration_m_s2: float = 0.0
+    innovation_m: float = float("nan")
+    gate_m: float = float("nan")
+
+    @classmethod
+    def begin(cls, filter_: Filter, support: SupportSettings, estimator: EstimatorSettings) -> Track:
+        """At rest, nothing learned."""
+        push, retract = support.nominal_push_speed_mm_s / 1e3, support.nominal_retract_speed_mm_s / 1e3
+        doubt = estimator.speed_sigma_machine
+        return cls(filter_, Flow(push, (doubt * push) ** 2), Flow(retract, (doubt * retract) ** 2))
+
+    def copy(self) -> Track:
+        """Independent copy."""
+        return replace(
+            self,
+            filter=self.filter.copy(),
+            push=replace(self.push),
+            retract=replace(self.retract),
+            chart=replace(self.chart),
+            ending=None if self.ending is None else replace(self.ending),
+        )
+
+    def flow(self, direction: int) -> Flow:
+        """Flow of a direction."""
+        return self.push if direction > 0 else self.retract
+
+    def advance(
+        self, step: Step, belief: Belief, settings: EstimatorSettings, latency_s: float
+    ) -> list[bool]:
+        """Go one step on. Returns, for each usable reading of the step, whether it lay within the gate."""
+        phase, motion = phase_at(step.t_ns, belief)
+        if phase is not self.phase:
+            self._change(phase, motion, step, settings)
+        if step.blind:
+            self.filter.blind(step.dt_s)
+        else:
+            self._feel(step, motion)
+        return [self._observe(reading, step.t_ns, latency_s) for reading in step.readings if reading.usable]
+
+    def _feel(self, step: Step, motion: Motion | None) -> None:
+        """Orientation, levelled acceleration and the model of the phase."""
+        resting = self.phase is Phase.REST
+        self._orient(step, resting)
+        # Gravity's part of the push axis, taken out in sensor axes: paper C, eq. (10), along the push itself.
+        gravity_part = self.gravity_m_s2 * matrix(self.orientation)[2][1]
+        acceleration = step.accel[1] - gravity_part
+        self.acceleration_m_s2 = step.smooth[1] - gravity_part
+        if resting:
+            if self.rest_s > CHART_QUIET_S:
+                self.chart.learn(self.acceleration_m_s2, step.dt_s)
+            averaged_s = min(self.rest_s, 2.0 * LEVEL_TIME_S)
+            self.filter.rest(step.dt_s, ACCEL_NOISE**2 / averaged_s + LEVEL_DRIFT_M_S2**2)
+        elif self.phase is Phase.CRUISE:
+            self.filter.cruise(step.dt_s, acceleration, step.vibration_m_s2)
+        elif self.phase is Phase.FREE:
+            self.filter.free(step.dt_s, acceleration)
+        else:
+            self.filter.burst(step.dt_s, acceleration)
+            if self.phase is Phase.START and motion is not None:
+                self._check_speed(step, motion)
+
+    def _orient(self, step: Step, resting: bool) -> None:
+        if self.gravity_m_s2 == 0.0:
+            self.orientation = corrected(IDENTITY, step.accel, 1.0)
+        if not resting:
+            x, y, z = (a - b for a, b in zip(step.gyro, self.gyro_bias, strict=True))
+            self.orientation = propagated(self.orientation, (x, y, z), step.dt_s)
+            self.rest_s = 0.0
+            return
+        # At rest the rate is zero and the gyro reads its bias; integrating it would only add its noise.
+        self.rest_s += step.dt_s
+        gain = step.dt_s / min(self.rest_s, LEVEL_TIME_S)
+        self.orientation = corrected(self.orientation, step.accel, gain)
+        ax, ay, az = step.accel
+        self.gravity_m_s2 += gain * (sqrt(ax * ax + ay * ay + az * az) - self.gravity_m_s2)
+        self.gyro_bias_s = min(self.gyro_bias_s + step.dt_s, GYRO_BIAS_TIME_S)
+        gain = step.dt_s / self.gyro_bias_s
+        bx, by, bz = self.gyro_bias
+        gx, gy, gz = step.gyro
+        self.gyro_bias = (bx + gain * (gx - bx), by + gain * (gy - by), bz + gain * (gz - bz))
+
+    def _change(self, phase: Phase, motion: Motion | None, step: Step, settings: EstimatorSettings) -> None:
+        """Leave one phase and enter another."""
+        moving = (Phase.START, Phase.CRUISE, Phase.STOP)
+        if phase in moving and self.phase not in moving and motion is not None:
+            self._begin_move(motion, settings)
+        if phase is Phase.CRUISE:
+            self.filter.enter_cruise()
+        elif phase is Phase.FREE:
+            self.filter.begin_free()
+        elif phase is Phase.REST and self.phase is Phase.STOP:
+            self._end_move(step, settings)
+        self.phase = phase
+
+    def _begin_move(self, motion: Motion, settings: EstimatorSettings) -> None:
+        self.started += 1
+        self.direction = motion.direction
+        self.start_m = self.filter.state.x[P]
+        self.speed_checks = 0
+        self.nis, self.readings_in_move = 1.0, 0
+        flow = self.flow(motion.direction)
+        sigma = sqrt(flow.variance + (settings.speed_sigma_cycle * flow.speed) ** 2)
+        self.filter.begin_move(motion.direction * flow.speed, sigma)
+
+    def _check_speed(self, step: Step, motion: Motion) -> None:
+        checks = SLOW_SPEED_REACHED_S if motion.slow else SPEED_REACHED_S
+        if self.speed_checks < len(checks) and step.t_ns - motion.onset_ns >= checks[self.speed_checks] * 1e9:
+            self.speed_checks += 1
+            self.filter.speed_reached(step.vibration_m_s2)
+
+    def _end_move(self, step: Step, settings: EstimatorSettings) -> None:
+        self.filter.stopped(step.vibration_m_s2)
+        state = self.filter.state
+        before_m, sigma_before_m = state.x[P], state.sigma(P)
+        stop_m = self._stop_reached(before_m, sigma_before_m) if settings.stop_constraint else None
+        if stop_m is not None:
+            self.filter.at_stop(stop_m, settings.stop_sigma_mm / 1e3)
+            flow = self.flow(self.direction)
+            cycle = settings.speed_sigma_cycle * flow.speed
+            flow.learn(abs(state.x[SPEED]), state.p[SPEED][SPEED] + cycle**2)
+        self.ending = Ending(
+            self.start_m, before_m, sigma_before_m, state.x[P], state.sigma(P), state.x[SPEED]
+        )
+
+    def _stop_reached(self, p_m: float, sigma_m: float) -> float | None:
+        """The mechanical stop that the move ended at, if there is evidence for it.
+
+        Near is not enough: without a learned flow or a displacement sensor that agrees, the place is a guess.
+        """
+        stop_m = self.filter.stroke_m if self.direction > 0 else 0.0
+        near = abs(p_m - stop_m) < max(STOP_NEAR_SIGMAS * sigma_m, STOP_NEAR_M)
+        agreed = self.readings_in_move >= READINGS_FOR_EVIDENCE and self.nis < HEALTHY_NIS
+        return stop_m if near and (agreed or self.flow(self.direction).moves > 0) else None
+
+    def _observe(self, reading: Reading, now_ns: int, latency_s: float) -> bool:
+        """Use one reading of the displacement sensor, unless it lies outside the gate."""
+        lag_s = (now_ns - reading.t_ns) * 1e-9 + latency_s
+        predicted, row = self.filter.displacement_prediction(lag_s)
+        variance = self.filter.state.predicted_variance(row) + reading.variance_m2
+        self.innovation_m = reading.value_m - predicted
+        self.gate_m = GATE_SIGMAS * sqrt(variance)
+        accepted = abs(self.innovation_m) <= self.gate_m
+        nis = min(self.innovation_m**2 / variance, GATE_SIGMAS**2)
+        self.nis += 0.05 * (nis - self.nis)
+        if accepted:
+            self.readings_in_move += 1
+            self.filter.state.measure(row, self.innovation_m, reading.variance_m2)
+        return accepted
+
+    @property
+    def velocity_m_s(self) -> float:
+        """Velocity now."""
+        return self.filter.state.x[V]

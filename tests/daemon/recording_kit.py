@@ -1,0 +1,123 @@
+"""Records of every topic, and files made of them, for the tests of the recording."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+from mcap.stream_reader import StreamReader
+
+from daemon.recording import topics
+from daemon.recording.metadata import LEARNED, SNAPSHOT
+from daemon.recording.topics import Health, LogLine, Recorded, RecordedDisplacement
+from daemon.recording.writer import RecordingWriter
+from drivers.adis16448.burst import Burst, Fault
+from drivers.can.frame import Frame
+from estimation.records import (
+    CanState,
+    Displacement,
+    Estimate,
+    Event,
+    ImuSample,
+    Move,
+    MoveKind,
+    Segment,
+    Tick,
+    Tier,
+    TimeKind,
+)
+
+METADATA = {"kind": "recording", "settings": '{"stroke_mm": 500}'}
+ATTACHMENTS = {SNAPSHOT: b'{"step": 7}', LEARNED: b'{"rate_hz": 815.25}'}
+
+ESTIMATE = Estimate(
+    11,
+    0.125,
+    0.002,
+    0.25,
+    0.01,
+    Segment.CVS,
+    Tier.SETTLED,
+    CanState.BIASED,
+    3,
+    -0.5,
+    -0.2,
+    0.2,
+    0.125,
+    math.nan,
+    0.006,
+)
+ONE_OF_EACH: dict[str, Recorded] = {
+    topics.IMU_RAW: Burst(
+        1, TimeKind.READ, (0x8001, 0xFFFF, 2, 3, 4, 5, 0x8000, 7, 8, 9, 50_000, 0x0FFF), 0xBEEF, Fault.CRC
+    ),
+    topics.IMU_SAMPLE: ImuSample(2, (0.5, -0.25, 3.0), (9.75, 0.0, -1.5), 21.5, TimeKind.IMPORTED),
+    topics.CAN_RX: Frame(3, 0x1ABCDEF0, b"\x01\x02\x03", is_extended=True),
+    topics.CAN_TX: Frame(4, 0x123, bytes(range(64)), is_fd=True),
+    topics.OBSERVED: RecordedDisplacement(Displacement(5, 0.25, valid=False), decoded=True),
+    topics.REFERENCE: RecordedDisplacement(Displacement(6, 0.375, is_reference=True), decoded=False),
+    topics.TICK: Tick(7),
+    topics.PROVISIONAL: ESTIMATE,
+    topics.SETTLED: ESTIMATE,
+    topics.MOVES: Move(
+        9, MoveKind.RETRACT, 8, 9, 0.5, 0.0, 0.003, 0.004, 0.005, -0.125, CanState.STUCK, Tier.PROVISIONAL
+    ),
+    topics.EVENTS: Event(10, "wire broken \N{LIGHTNING}"),
+    topics.LOG: LogLine(1_234_567_890_123, 30, "drivers.can", "bus off; 15 °C"),
+    topics.HEALTH: Health(12, '{"dropped": 0}'),
+}
+
+
+def burst(number: int) -> Burst:
+    """The `number`-th burst of a test file, 819.2 Hz, recognisable by its words."""
+    words = (0, *((number >> shift) & 0xFFFF for shift in (0, 16)), *range(9))
+    return Burst(number * 1_220_703, TimeKind.EDGE, words, None)
+
+
+def number_of(record: Recorded) -> int:
+    """Which burst this is."""
+    assert isinstance(record, Burst)
+    return record.words[1] | record.words[2] << 16
+
+
+def write_recording(path: Path, bursts: int, flush_every: int = 10) -> list[tuple[str, Recorded]]:
+    """A file of `bursts` bursts with an event after each tenth, a chunk per `flush_every` bursts."""
+    written: list[tuple[str, Recorded]] = []
+    with RecordingWriter(path, METADATA, ATTACHMENTS) as writer:
+        for number in range(bursts):
+            records: list[tuple[str, Recorded]] = [(topics.IMU_RAW, burst(number))]
+            if number % 10 == 9:
+                records.append((topics.EVENTS, Event(number, f"burst {number}")))
+            for topic, record in records:
+                writer.write(topic, record)
+            written += records
+            if number % flush_every == flush_every - 1:
+                writer._container.flush()
+    return written
+
+
+def records_of(data: bytes) -> Iterator[tuple[int, int, int]]:
+    """Opcode, start and end of every top-level record of a whole file, by our own reading of the format."""
+    at = 8
+    while at < len(data) - 8:
+        end = at + 9 + int.from_bytes(data[at + 1 : at + 9], "little")
+        yield data[at], at, end
+        at = end
+
+
+def chunks_of(data: bytes) -> list[tuple[int, int]]:
+    """Start and end of every chunk record."""
+    return [(start, end) for opcode, start, end in records_of(data) if opcode == 6]
+
+
+def stream_reader_count(path: Path) -> int:
+    """Messages that the official stream reader gives before it gives up."""
+    count = 0
+    with path.open("rb") as stream:
+        try:
+            for record in StreamReader(stream, validate_crcs=True).records:
+                count += type(record).__name__ == "Message"
+        except Exception:
+            return count
+    return count
