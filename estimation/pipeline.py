@@ -10,8 +10,9 @@ from collections import deque
 from dataclasses import dataclass, field
 from functools import cache
 from math import log, sqrt
+from typing import ClassVar
 
-from pydantic import TypeAdapter
+from pydantic import ConfigDict, TypeAdapter
 
 from estimation.blocks import SAMPLES_PER_STEP, BlockCutter
 from estimation.displacement_sensor import STUCK_READINGS, DisplacementSensor, Reading
@@ -40,22 +41,31 @@ from estimation.track import SEGMENT_OF, STOP_BURST_S, Belief, Flow, Free, Phase
 LAG_S = 4.0  # the settled tier runs so far behind; every decision is taken within it
 WARM_UP_S = 3.0  # gyro bias and level must be known before a burst can be told from them
 SILENT_IMU_S = 0.25
+SENSOR_CHANCE_S = 2.0
 KNOWN_START_SIGMA_M = 0.0005
 FORBIDDEN_M, FORBIDDEN_SIGMA_M = 0.015, 0.03  # from an end of the stroke, and how well that must be known
 PERIOD_STEPS = 1.02  # kernels are built for step periods on this geometric grid
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, frozen=True)
 class Start:
-    """What is known of the stroke before the first record; None = undetermined."""
+    """What is known of the stroke before the first record; None = undetermined.
+
+    `only_without_sensor`: believe it only if no displacement reading comes within the first seconds. A saved
+    stroke may be wrong if the ram moved while nobody watched; the sensor then knows better.
+    """
 
     displacement_m: float | None = None
     sigma_m: float = KNOWN_START_SIGMA_M
+    only_without_sensor: bool = False
 
 
 @dataclass(slots=True)
 class PipelineState:
     """Everything the pipeline remembers."""
+
+    # A reading without a value is NaN, which JSON proper cannot say.
+    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(ser_json_inf_nan="constants")
 
     settled: Track
     head: Track
@@ -68,6 +78,7 @@ class PipelineState:
     belief: list[Motion | Free] = field(default_factory=list)
     buffer: deque[Step] = field(default_factory=deque)
     pending: list[Reading] = field(default_factory=list)
+    waiting_start: Start | None = None  # to be believed if no sensor speaks
     first_ns: int | None = None
     last_ns: int = 0  # end of the last step
     moves: int = 0
@@ -98,6 +109,8 @@ class Pipeline:
         self._latency_s = latency_s
         stroke_m = self._support.stroke_mm / 1e3
         start = start or Start()
+        waiting = start if start.only_without_sensor else None
+        start = Start() if start.only_without_sensor else start
         known = start.displacement_m is not None
         track = Track.begin(
             Filter.start(
@@ -112,7 +125,7 @@ class Pipeline:
             self._settings,
         )
         sensor = DisplacementSensor((self._settings.can_noise_mm / 1e3) ** 2, stroke_m)
-        self.state = PipelineState(settled=track, head=track.copy(), sensor=sensor)
+        self.state = PipelineState(settled=track, head=track.copy(), sensor=sensor, waiting_start=waiting)
 
     # --- snapshot ---------------------------------------------------------------------------------------------
 
@@ -147,6 +160,9 @@ class Pipeline:
         s = self.state
         if s.first_ns is None:
             s.first_ns = s.last_ns = sample.t_ns
+        elif sample.t_ns < s.last_ns:
+            s.cutter.backward += 1
+            return
         gap_s, step = s.cutter.add(sample, self._mount)
         if gap_s:
             out.append(Event(sample.t_ns, f"gap of {gap_s:.3f} s in the inertial samples"))
@@ -202,6 +218,8 @@ class Pipeline:
         if not step.blind:
             decision = self._recognise(step)
         s.last_ns = step.t_ns
+        if s.waiting_start is not None:
+            self._consider_waiting_start(step, out)
         s.buffer.append(step)
         s.can_state = s.sensor.state(step.t_ns)
         s.can_states.append(s.can_state)
@@ -220,6 +238,20 @@ class Pipeline:
             self._supervise(step, out)
         out.append(self._estimate(s.head, step, s.can_state, Tier.PROVISIONAL))
         self._settle(out, until_ns=step.t_ns - round(LAG_S * 1e9))
+
+    def _consider_waiting_start(self, step: Step, out: list[Output]) -> None:
+        """Believe the saved stroke once the displacement sensor has had its chance to speak."""
+        s = self.state
+        assert s.first_ns is not None
+        assert s.waiting_start is not None
+        if any(reading.usable for reading in step.readings):
+            s.waiting_start = None
+        elif step.t_ns - s.first_ns > SENSOR_CHANCE_S * 1e9:
+            start, s.waiting_start = s.waiting_start, None
+            if start.displacement_m is not None:
+                for track in (s.settled, s.head):
+                    track.filter.state.reset(P, start.displacement_m, start.sigma_m**2)
+                out.append(Event(step.t_ns, "no displacement reading: the saved stroke is believed"))
 
     def _recognise(self, step: Step) -> Decision | None:
         s = self.state
@@ -359,17 +391,16 @@ class Pipeline:
     ) -> None:
         s = self.state
         settled_ns = step.t_ns - round(LAG_S * 1e9)
-        if isinstance(last, Motion) and last.stop_ns is not None and last.stop_ns > settled_ns:
-            if slope * last.direction > 0:
-                motion = Motion(last.direction, last.onset_ns, last.slow, confirmed=True)
-                s.belief[-1] = motion
-                s.recogniser.motion = motion
-                s.recogniser.ignore_before_ns = step.t_ns - round(1e9)
-                self._run_head_again()
-                out.append(
-                    Event(step.t_ns, "the stop was none: the displacement sensor still moves; move re-opened")
-                )
-                return
+        stop_ns = last.stop_ns if isinstance(last, Motion) else None
+        if isinstance(last, Motion) and stop_ns is not None and stop_ns > settled_ns and slope * last.direction > 0:
+            motion = Motion(last.direction, last.onset_ns, last.slow, confirmed=True)
+            s.belief[-1] = motion
+            s.recogniser.motion = motion
+            s.recogniser.ignore_before_ns = step.t_ns - round(1e9)
+            s.moves -= 1  # its summary will come again, under the same number
+            self._run_head_again()
+            out.append(Event(step.t_ns, "the displacement sensor still moves: the stop was none, move re-opened"))
+            return
         self._go_free(step.t_ns - round(2e9))
         out.append(Event(step.t_ns, "the displacement sensor moves although no start was felt; following it"))
 

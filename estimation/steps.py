@@ -24,8 +24,8 @@ from estimation.kernels import (
 # Lists in a snapshot, arrays in the program.
 Array = Annotated[
     NDArray[np.float64],
-    PlainSerializer(lambda a: a.tolist(), return_type=list),
     PlainValidator(lambda values: np.array(values, dtype=np.float64)),
+    PlainSerializer(lambda a: a.tolist(), return_type=list),
 ]
 
 HISTORY_S = 3.6  # how far back a decision may look

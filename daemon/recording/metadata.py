@@ -7,6 +7,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from typing import Literal
 
@@ -30,6 +31,7 @@ class Preamble:
     attachments: Mapping[str, bytes] = field(default_factory=dict)
 
 
+@cache
 def program_version() -> str:
     """Version of the installed program."""
     try:

@@ -61,8 +61,14 @@ class Recording:
     @property
     def damage(self) -> list[str]:
         """What is wrong with the file, as sentences; all of it once the messages have been read."""
-        missing = [] if self.metadata else ["the description at the head of the file is missing"]
-        return missing + self._damage.sentences()
+        sentences = self._damage.sentences()
+        if not self.metadata:
+            sentences.append("the description at the head of the file is missing")
+        if not self.complete:
+            sentences.append(
+                "the index at the end is missing: the file was cut, damaged, or not yet finished"
+            )
+        return sentences
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[tuple[str, Recorded]]:
         """Topic and record of every readable message in file order, the order in which they were recorded.

@@ -137,11 +137,14 @@ class Recorder:
         self.counters.last_error = f"fdatasync: {error.strerror or error}"
 
     def _run(self) -> None:
-        while not self._stopping.wait(self._settings.flush_interval_ms / 1000):
+        stopping = False
+        while not stopping:
+            # Sampled before draining: what was written before `close` is drained in the last round.
+            stopping = self._stopping.is_set()
             self._drain()
             self._series.flush()
             self._report_drops()
-        self._drain()
+            self._stopping.wait(self._settings.flush_interval_ms / 1000)
         self._series.close()
 
     def _drain(self) -> None:

@@ -43,21 +43,27 @@ def make_room(
 ) -> list[Path]:
     """Delete the oldest recordings until the budget and the free space hold; returns the deleted ones.
 
-    The file being written (`current`) and files marked by a sibling NAME.keep stay, but count.
+    The file being written (`current`) and files marked by a sibling NAME.keep stay, but count. When even all
+    of ours would not free enough, somebody else fills the disk and nothing is sacrificed to that.
     Raises `OSError` when the folder cannot be read or a file cannot be deleted.
     """
-    sizes: dict[Path, int] = {}
+    total = 0
+    deletable: dict[Path, int] = {}
     for path in recordings(directory):
         with suppress(FileNotFoundError):  # somebody else tidied up
-            sizes[path] = path.stat().st_size
-    total = sum(sizes.values())
+            size = path.stat().st_size
+            total += size
+            if path != current and not path.with_name(path.name + KEEP_SUFFIX).exists():
+                deletable[path] = size
+    short_of_free = keep_free_bytes - free(directory)
+    surplus = total - budget_bytes
+    if short_of_free <= sum(deletable.values()):
+        surplus = max(surplus, short_of_free)
     deleted: list[Path] = []
-    for path, size in sizes.items():
-        if total <= budget_bytes and free(directory) >= keep_free_bytes:
+    for path, size in deletable.items():
+        if surplus <= 0:
             break
-        if path == current or path.with_name(path.name + KEEP_SUFFIX).exists():
-            continue
         path.unlink(missing_ok=True)
         deleted.append(path)
-        total -= size
+        surplus -= size
     return deleted

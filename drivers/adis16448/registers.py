@@ -9,6 +9,7 @@ from typing import Literal
 STANDARD_GRAVITY = 9.80665  # m/s^2
 BASE_RATE_HZ = 819.2  # internal clock, +-3 %
 PRODUCT_ID = 0x4040  # 16448
+INVALID_NS = 210_000  # the output registers change during this time before each data-ready edge
 
 GYRO_LSB_DPS = {1000: 0.04, 500: 0.02, 250: 0.01}  # by range [deg/s]
 ACCEL_LSB = STANDARD_GRAVITY / 1200  # m/s^2; the sheet's 0.833 mg is this, rounded

@@ -70,11 +70,11 @@ def _layout(settings: DisplacementSettings) -> Preset:
         assert settings.message is not None
         assert settings.signal is not None
         return Preset(
-            settings.dbc, settings.message, settings.signal, settings.valid_signal, settings.valid_value
+            settings.dbc, settings.message, settings.signal, settings.valid_signal, _valid_value(settings)
         )
     preset = PRESETS[settings.preset]
     message = settings.message or preset.message
-    valid_signal, valid_value = settings.valid_signal, settings.valid_value
+    valid_signal, valid_value = settings.valid_signal, _valid_value(settings)
     if valid_signal is None and message == preset.message:
         valid_signal, valid_value = preset.valid_signal, preset.valid_value
     return Preset(
@@ -85,6 +85,10 @@ def _layout(settings: DisplacementSettings) -> Preset:
         valid_value,
         preset.may_be_longer,
     )
+
+
+def _valid_value(settings: DisplacementSettings) -> int:
+    return 1 if settings.valid_value is None else settings.valid_value
 
 
 def _load(path: Path) -> Database:

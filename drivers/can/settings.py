@@ -72,7 +72,9 @@ class DisplacementSettings(_Settings):
     valid_signal: str | None = Field(
         default=None, description="Signal of the same message that tells whether the displacement is valid."
     )
-    valid_value: int = Field(default=1, description="Value of `valid_signal` that means valid.")
+    valid_value: int | None = Field(
+        default=None, description="Value of `valid_signal` that means valid; 1 if not given."
+    )
     timeout_ms: float = Field(
         default=500.0,
         gt=0,
@@ -103,7 +105,7 @@ class DisplacementSettings(_Settings):
             )
         if self.node_id is not None and self.preset != "cia406":
             raise ValueError('`node_id` belongs to CANopen: delete it or set preset = "cia406"')
-        if "valid_value" in self.model_fields_set and self.valid_signal is None:
+        if self.valid_value is not None and self.valid_signal is None:
             raise ValueError("`valid_value` needs `valid_signal`: name the signal or delete the value")
         if self.minimum_mm >= self.maximum_mm:
             raise ValueError("`minimum_mm` must be smaller than `maximum_mm`")

@@ -71,7 +71,7 @@ class OutputRows:
 
     frames: bytes  # FRAME_BYTES each, as a burst sends them
     checksums: bytes  # 2 each
-    overrange: NDArray[np.bool_]
+    overrange: list[bool]
 
 
 def quantise(values: Floats, gyro_range_dps: int, decimation_exponent: int, offsets: Floats) -> OutputRows:
@@ -81,15 +81,15 @@ def quantise(values: Floats, gyro_range_dps: int, decimation_exponent: int, offs
     counts = np.empty((count, 11), dtype=np.int64)
     gyro = np.rint((values[:, :3] + offsets[:3]) / gyro_lsb)
     accel = np.rint((values[:, 3:6] + offsets[3:]) / ACCEL_LSB)
-    beyond = np.concatenate([np.abs(gyro) > _GYRO_LIMIT, np.abs(accel) > _ACCEL_LIMIT], axis=1)
-    overrange: NDArray[np.bool_] = beyond.any(axis=1)
-    counts[:, 0:3] = np.clip(gyro, -_GYRO_LIMIT, _GYRO_LIMIT)
-    counts[:, 3:6] = np.clip(accel, -_ACCEL_LIMIT, _ACCEL_LIMIT)
+    rounded = np.concatenate([gyro, accel], axis=1)
+    limits = np.repeat([_GYRO_LIMIT, _ACCEL_LIMIT], 3)
+    counts[:, 0:6] = np.clip(rounded, -limits, limits)
     # The four lowest bits of the field rest at the full rate; decimation wakes one each.
     resting = (1 << max(0, 4 - decimation_exponent)) - 1
     counts[:, 6:9] = np.rint(np.array(_FIELD_T) / MAGN_LSB).astype(np.int64) & ~resting
     counts[:, 9] = _PRESSURE_WORD
     counts[:, 10] = np.clip(np.rint((values[:, 6] - TEMP_AT_ZERO_C) / TEMP_LSB), -2048, 2047)
+    overrange = (np.abs(rounded) > limits).any(axis=1).tolist()
     words: _Words = (counts & 0xFFFF).astype(np.uint16)
     return OutputRows(words.astype(">u2").tobytes(), _checksums(words).astype(">u2").tobytes(), overrange)
 

@@ -143,7 +143,7 @@ class Updates:
         self._times = self._block_t[rows].tolist()
         self._numbers = (self._block_first + rows).tolist()
         self._frames, self._checksums = outputs.frames, outputs.checksums
-        self._overrange = outputs.overrange.tolist()
+        self._overrange = outputs.overrange
         self._cursor = 0
 
     def _hold(self, row: int) -> None:

@@ -2,7 +2,8 @@
 
 Every message has a length (2 bytes, big-endian) in front. A connection opens with a greeting that says
 what it carries: frames (request: speed [Hz], 4 bytes, then the data; answer: as many bytes) or edges of one
-pin (time [ns] and lost edges, 8 bytes each, sent as they happen). Times are CLOCK_MONOTONIC, the same in all processes.
+pin (time [ns] and lost edges, 8 bytes each, sent as they happen). Times are CLOCK_MONOTONIC, which all
+processes share.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import stat
 import struct
 import threading
 import time
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Literal
 
 from drivers.data_ready import DataReadyError, Edge
@@ -98,8 +100,8 @@ class SpiSocketServer:
             if os.stat(self._path).st_ino == self._inode:
                 os.unlink(self._path)
 
-    def _spawn(self, target: object, *arguments: socket.socket) -> None:
-        thread = threading.Thread(target=target, args=arguments, name="spi socket", daemon=True)  # type: ignore[arg-type]
+    def _spawn(self, target: Callable[..., None], *arguments: socket.socket) -> None:
+        thread = threading.Thread(target=target, args=arguments, name="spi socket", daemon=True)
         self._threads = [old for old in self._threads if old.is_alive()] + [thread]
         thread.start()
 

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import errno
+import io
 import math
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any, BinaryIO
 
+import pytest
 from mcap.stream_reader import StreamReader
 
 from daemon.recording import topics
 from daemon.recording.metadata import LEARNED, SNAPSHOT
-from daemon.recording.topics import Health, LogLine, Recorded, RecordedDisplacement
-from daemon.recording.writer import RecordingWriter
+from daemon.recording.topics import EVENTS, IMU_RAW, TOPICS, Health, LogLine, Recorded, RecordedDisplacement
+from daemon.recording.writer import OWN_CHANNELS, Container
 from drivers.adis16448.burst import Burst, Fault
 from drivers.can.frame import Frame
 from estimation.records import (
@@ -84,16 +88,21 @@ def number_of(record: Recorded) -> int:
 def write_recording(path: Path, bursts: int, flush_every: int = 10) -> list[tuple[str, Recorded]]:
     """A file of `bursts` bursts with an event after each tenth, a chunk per `flush_every` bursts."""
     written: list[tuple[str, Recorded]] = []
-    with RecordingWriter(path, METADATA, ATTACHMENTS) as writer:
+    with path.open("wb") as stream:
+        container = Container(stream, METADATA, ATTACHMENTS)
+        channels = {topic: container.add_channel(OWN_CHANNELS[topic]) for topic in (IMU_RAW, EVENTS)}
+        sequences = dict.fromkeys(channels, 0)
         for number in range(bursts):
-            records: list[tuple[str, Recorded]] = [(topics.IMU_RAW, burst(number))]
+            records: list[tuple[str, Recorded]] = [(IMU_RAW, burst(number))]
             if number % 10 == 9:
-                records.append((topics.EVENTS, Event(number, f"burst {number}")))
+                records.append((EVENTS, Event(number, f"burst {number}")))
             for topic, record in records:
-                writer.write(topic, record)
+                container.add(channels[topic], number, sequences[topic], TOPICS[topic].encode(record))
+                sequences[topic] += 1
             written += records
             if number % flush_every == flush_every - 1:
-                writer._container.flush()
+                container.flush()
+        container.finish()
     return written
 
 
@@ -121,3 +130,36 @@ def stream_reader_count(path: Path) -> int:
         except Exception:
             return count
     return count
+
+
+class SmallDisk:
+    """A disk that takes `room` more bytes, in all its files, and then says that it is full."""
+
+    def __init__(self, room: int) -> None:
+        self.room = room
+
+    def open(self, path: Path) -> BinaryIO:
+        """A new file on this disk."""
+        return io.BufferedWriter(_SmallFile(self, path))
+
+    def hold_what_is_written(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        """Let every file that is opened for writing in binary lie on this disk."""
+        real = Path.open
+
+        def opened(path: Path, mode: str = "r", *args: Any, **options: Any) -> Any:
+            return self.open(path) if mode == "wb" else real(path, mode, *args, **options)
+
+        monkeypatch.setattr(Path, "open", opened)
+
+
+class _SmallFile(io.FileIO):
+    def __init__(self, disk: SmallDisk, path: Path) -> None:
+        super().__init__(path, "xb")
+        self._disk = disk
+
+    def write(self, data: Any) -> int:
+        taken = min(len(data), self._disk.room)
+        if taken == 0 and len(data):
+            raise OSError(errno.ENOSPC, "No space left on device")
+        self._disk.room -= taken
+        return super().write(data[:taken])

@@ -1,0 +1,65 @@
+"""`ramstroke replay`."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+HELP = (
+    "Run what a recording received through the estimator again, as fast as possible. Without --config the file's "
+    "own settings hold, and the estimates it holds are compared bit for bit with the new ones."
+)
+EXAMPLE = "ramstroke replay shift.mcap --csv shift.csv --json"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
+    parser.add_argument("file", type=Path, help="the recording")
+    parser.add_argument("--config", type=Path, help="settings to use instead of the file's own")
+    parser.add_argument("-o", "--output", type=Path, help="write inputs and new estimates to this recording")
+    parser.add_argument("--csv", type=Path, help="write one row per step to this table")
+    parser.add_argument(
+        "--provisional", action="store_true", help="in the table: provisional values, not settled ones"
+    )
+    parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Replay."""
+    from daemon import terminal
+    from daemon.configuration import load
+    from daemon.replay_outputs import replay_to
+
+    settings = load(arguments.config) if arguments.config else None
+    with terminal.progress("messages") as progress:
+        result = replay_to(
+            arguments.file,
+            settings,
+            output=arguments.output,
+            table=arguments.csv,
+            provisional=arguments.provisional,
+            progress=progress,
+        )
+    for sentence in result.damage:
+        terminal.ERR.print(f"{arguments.file}: {sentence}", highlight=False)
+    if arguments.json:
+        terminal.print_json(
+            {
+                "samples": result.samples,
+                "bad_bursts": result.bad_bursts,
+                "duration_s": result.duration_s,
+                "realtime_factor": result.realtime_factor,
+                "identical": result.identical,
+                "moves": [terminal.move_row(move) for move in result.moves],
+                "damage": result.damage,
+            }
+        )
+        return 0
+    same = {True: "reproduced bit for bit", False: "NOT reproduced", None: "none recorded"}[result.identical]
+    terminal.OUT.print(
+        f"{result.samples} samples, {result.duration_s:.1f} s, {result.realtime_factor:.0f} × real time; "
+        f"recorded estimates: {same}",
+        highlight=False,
+    )
+    terminal.print_moves(result.moves)
+    return 0

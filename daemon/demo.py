@@ -1,0 +1,97 @@
+"""One cycle of the virtual support in simulated time, measured by the same code as a real one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from daemon.recording import topics
+from daemon.recording.metadata import LEARNED, SNAPSHOT, describe
+from daemon.recording.topics import Recorded
+from daemon.recording.writer import RecordingWriter
+from daemon.settings import Settings
+from daemon.stream import Stream
+from daemon.virtual import SimulatedRun, virtual_support
+from drivers.clock import VirtualClock
+from drivers.virtual.motion import TrueMove
+from estimation.pipeline import Start
+from estimation.records import Displacement, Estimate, Move
+
+
+@dataclass(slots=True)
+class DemoResult:
+    """What was estimated, and the truth."""
+
+    moves: list[Move] = field(default_factory=list)
+    truth: tuple[TrueMove, ...] = ()
+    settled: list[Estimate] = field(default_factory=list)
+    observed: list[Displacement] = field(default_factory=list)
+    reference: list[Displacement] = field(default_factory=list)
+
+
+def demo_settings(seed: int) -> Settings:
+    """The default configuration on twins instead of devices."""
+    return Settings.model_validate(
+        {
+            "imu": {"transport": "virtual"},
+            "can": {
+                "interface": "virtual",
+                "channel": "ramstroke-demo",
+                "reference": {"message": "LaboratorySensor", "signal": "reference_stroke"},
+            },
+            "simulation": {"seed": seed},
+        }
+    )
+
+
+def run_demo(settings: Settings, recording: Path, progress: Callable[[float], None]) -> DemoResult:
+    """Play one cycle into `recording`; `progress` hears the share done.
+
+    Raises:
+        RecordingError: the recording cannot be written.
+    """
+    clock = VirtualClock()
+    support = virtual_support(settings, cycles=1)
+    result = DemoResult(truth=support.true_moves())
+    duration_ns = support.truth().t_s[-1] * 1e9
+    run = SimulatedRun(settings, support, clock)
+    try:
+        metadata = describe(
+            "recording",
+            settings.model_dump_json(),
+            sensor=f"virtual ADIS16448, serial {run.identity.serial}",
+        )
+        # The stream must exist before the file (its snapshot stands at the head) and writes into it.
+        written: list[RecordingWriter] = []
+
+        def receive(topic: str, record: Recorded) -> None:
+            written[0].write(topic, record)
+            _collect(result, topic, record)
+
+        stream = Stream(settings, receive, Start(0.0))
+        with RecordingWriter(recording, metadata, {SNAPSHOT: stream.snapshot(), LEARNED: b"{}"}) as writer:
+            written.append(writer)
+            while (received := run.next()) is not None:
+                block, frames = received
+                for burst in block:
+                    stream.take(topics.IMU_RAW, burst)
+                for frame in frames:
+                    stream.take(topics.CAN_RX, frame)
+                progress(min(clock.now_ns() / duration_ns, 1.0))
+            stream.finish()
+    finally:
+        run.close()
+    return result
+
+
+def _collect(result: DemoResult, topic: str, record: Recorded) -> None:
+    if isinstance(record, Move):
+        if result.moves and result.moves[-1].number == record.number:
+            result.moves.pop()
+        result.moves.append(record)
+    elif topic == topics.SETTLED and isinstance(record, Estimate):
+        result.settled.append(record)
+    elif isinstance(record, topics.RecordedDisplacement):
+        readings = result.reference if record.reading.is_reference else result.observed
+        readings.append(record.reading)

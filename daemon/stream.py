@@ -1,0 +1,122 @@
+"""The one way from received records to outputs, the same live, simulated and replayed: decode, estimate, pass on."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+
+from daemon.recording import topics
+from daemon.recording.topics import Recorded, RecordedDisplacement
+from daemon.settings import Settings
+from drivers.adis16448.burst import Burst, BurstDecoder, Fault
+from drivers.can.displacement import build_decoders
+from drivers.can.frame import Frame
+from estimation.pipeline import Pipeline, Start
+from estimation.records import Displacement, Estimate, ImuSample, Move, Output, Record, Tick, Tier
+
+Sink = Callable[[str, Recorded], None]
+
+# What a replay feeds again; everything else in a recording follows from these.
+INPUTS = (topics.IMU_RAW, topics.IMU_SAMPLE, topics.CAN_RX, topics.OBSERVED, topics.REFERENCE, topics.TICK)
+
+
+class Stream:
+    """Takes every received record once, in order, and gives it and what follows from it to the sink.
+
+    Args:
+        settings: of the program.
+        sink: called with topic and record, inputs first, then what they brought about.
+        start: what is known of the stroke beforehand.
+
+    Raises:
+        CanConfigError: the CAN settings do not fit their DBC files.
+    """
+
+    def __init__(self, settings: Settings, sink: Sink, start: Start | None = None) -> None:
+        self._sink = sink
+        self._imu = BurstDecoder(settings.imu.gyro_range_dps)
+        observed, reference = build_decoders(settings.can) if settings.can.enabled else (None, None)
+        self.decoders = [decoder for decoder in (observed, reference) if decoder is not None]
+        self.pipeline = Pipeline(
+            settings.mount,
+            settings.support,
+            settings.estimator,
+            latency_s=settings.can.displacement.latency_ms / 1e3,
+            start=start,
+        )
+        self.samples = 0  # good inertial samples
+        self.bad_bursts = 0
+        self.last_sample_ns: int | None = None
+        self.last: Estimate | None = None  # provisional
+
+    def take(self, topic: str, record: Recorded) -> None:
+        """Take one input record."""
+        self._sink(topic, record)
+        if isinstance(record, Burst):
+            if record.fault is not Fault.NONE:
+                self.bad_bursts += 1
+                return
+            self._feed_sample(self._imu.sample(record))
+        elif isinstance(record, ImuSample):
+            self._feed_sample(record)
+        elif isinstance(record, Frame):
+            self._take_frame(record)
+        elif isinstance(record, RecordedDisplacement):
+            if not record.decoded:
+                self._feed(record.reading)
+        elif isinstance(record, Tick):
+            self._feed(record)
+
+    def finish(self) -> None:
+        """End of the data: let the estimator settle what is open."""
+        self._emit(self.pipeline.finish())
+
+    def snapshot(self) -> bytes:
+        """State of everything that remembers, as JSON."""
+        emergencies = [
+            None if decoder.emergency is None else decoder.emergency.pending_code for decoder in self.decoders
+        ]
+        head = json.dumps({"emergencies": emergencies})
+        return head.encode() + b"\n" + self.pipeline.snapshot()
+
+    def restore(self, snapshot: bytes) -> None:
+        """Continue from a snapshot. Raises ValueError on damaged or foreign bytes."""
+        head, _, state = snapshot.partition(b"\n")
+        emergencies = json.loads(head)["emergencies"]
+        for decoder, code in zip(self.decoders, emergencies, strict=True):
+            if decoder.emergency is not None:
+                decoder.emergency.pending_code = code
+        self.pipeline.restore(state)
+
+    def _take_frame(self, frame: Frame) -> None:
+        for decoder in self.decoders:
+            reading = decoder.decode(frame)
+            if reading is not None:
+                topic = topics.REFERENCE if reading.is_reference else topics.OBSERVED
+                self._sink(topic, RecordedDisplacement(reading, decoded=True))
+                self._feed(reading)
+
+    def _feed_sample(self, sample: ImuSample) -> None:
+        self.samples += 1
+        self.last_sample_ns = sample.t_ns
+        self._feed(sample)
+
+    def _feed(self, record: Record) -> None:
+        if isinstance(record, Displacement) and record.is_reference:
+            return
+        outputs = self.pipeline.feed(record)
+        if outputs:
+            self._emit(outputs)
+
+    def _emit(self, outputs: list[Output]) -> None:
+        for output in outputs:
+            if isinstance(output, Estimate):
+                if output.tier is Tier.PROVISIONAL:
+                    self.last = output
+                    self._sink(topics.PROVISIONAL, output)
+                else:
+                    self._sink(topics.SETTLED, output)
+            elif isinstance(output, Move):
+                self._sink(topics.MOVES, output)
+            else:
+                self._sink(topics.EVENTS, output)

@@ -1,0 +1,106 @@
+"""What people see at the terminal: tables and JSON on standard output, progress on standard error."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from estimation.records import Move
+
+OUT = Console(soft_wrap=True)
+ERR = Console(stderr=True, soft_wrap=True)
+
+
+def print_json(value: dict[str, Any]) -> None:
+    """One object on standard output; NaN and infinity become null."""
+    sys.stdout.write(json.dumps(_finite(value), indent=2) + "\n")
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    return value
+
+
+@contextmanager
+def progress(what: str, total: float | None = None) -> Iterator[Callable[[float], None]]:
+    """A bar on standard error; call it with how much is done. Silent when standard error is no terminal."""
+    bar = Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.completed:.0f}" if total is None else "{task.percentage:.0f} %"),
+        TimeRemainingColumn(),
+        console=ERR,
+        transient=True,
+        disable=not ERR.is_terminal,
+    )
+    with bar:
+        task = bar.add_task(what, total=total)
+        yield lambda done: bar.update(task, completed=done)
+
+
+def table(title: str, *columns: str) -> Table:
+    """A table with its first column left, the others right."""
+    made = Table(title=title, title_justify="left")
+    for i, column in enumerate(columns):
+        made.add_column(column, justify="left" if i == 0 else "right")
+    return made
+
+
+def move_row(move: Move) -> dict[str, Any]:
+    """A finished move in the words and units of the command line."""
+    return {
+        "kind": str(move.kind),
+        "onset_s": move.onset_ns * 1e-9,
+        "stop_s": move.stop_ns * 1e-9,
+        "start_mm": move.start_m * 1e3,
+        "end_mm": move.end_m * 1e3,
+        "sigma_mm": move.sigma_m * 1e3,
+        "end_before_stop_mm": move.end_before_stop_m * 1e3,
+        "sigma_before_stop_mm": move.sigma_before_stop_m * 1e3,
+        "velocity_mm_s": move.velocity_m_s * 1e3,
+        "can_state": str(move.can_state),
+        "tier": str(move.tier),
+    }
+
+
+def print_moves(moves: list[Move]) -> None:
+    """Moves as a table."""
+    made = table(
+        "Moves",
+        "kind",
+        "onset s",
+        "stop s",
+        "start mm",
+        "end mm",
+        "± 1σ mm",
+        "before stop mm",
+        "± 1σ mm",
+        "mm/s",
+        "CAN",
+    )
+    for move in moves:
+        row = move_row(move)
+        made.add_row(
+            row["kind"],
+            *(f"{row[key]:.2f}" for key in ("onset_s", "stop_s")),
+            *(
+                f"{row[key]:.1f}"
+                for key in ("start_mm", "end_mm", "sigma_mm", "end_before_stop_mm", "sigma_before_stop_mm")
+            ),
+            f"{row['velocity_mm_s']:.2f}",
+            row["can_state"],
+        )
+    OUT.print(made if moves else "No moves were found.")
