@@ -43,7 +43,7 @@ def plot_demo(
     seen_mm = np.array([r.value_m for r in observed if r.valid]) * 1e3
     seen_error_mm = seen_mm - np.interp(seen_s, truth.t_s, truth.displacement_m) * 1e3
 
-    figure, (stroke, error, speed, burst) = pyplot.subplots(
+    figure, (stroke, deviation, speed, burst) = pyplot.subplots(
         4, 1, sharex=True, figsize=(10, 10), height_ratios=(3, 2, 1.6, 1.6), layout="constrained"
     )
     stroke.plot(seen_s, seen_mm, ".", color=GREY, markersize=2, label="reported by the controller (CAN)")
@@ -52,12 +52,12 @@ def plot_demo(
     stroke.set_ylabel("stroke [mm]")
     stroke.set_title("One cycle of the virtual roof support: push and retract")
 
-    error.plot(seen_s, seen_error_mm, ".", color=GREY, markersize=2, label="CAN − truth")
-    error.fill_between(
+    deviation.plot(seen_s, seen_error_mm, ".", color=GREY, markersize=2, label="CAN − truth")
+    deviation.fill_between(
         t_s, -1.96 * sigma_mm, 1.96 * sigma_mm, color=BLUE, alpha=0.15, linewidth=0, label="stated 95 %"
     )
-    error.plot(t_s, p_mm - true_mm, color=BLUE, linewidth=1.2, label="ramstroke − truth")
-    error.set_ylabel("error [mm]")
+    deviation.plot(t_s, p_mm - true_mm, color=BLUE, linewidth=1.2, label="ramstroke − truth")
+    deviation.set_ylabel("error [mm]")
 
     speed.plot(
         t_s, np.interp(t_s, truth.t_s, truth.velocity_m_s) * 1e3, color="black", linewidth=0.6, label="truth"
@@ -73,7 +73,7 @@ def plot_demo(
     burst.set_ylabel("acceleration [m/s²]")
     burst.set_xlabel("time [s]; orange: varying velocity (VVS), green: constant velocity (CVS)")
 
-    for axes in (stroke, error, speed, burst):
+    for axes in (stroke, deviation, speed, burst):
         _shade_segments(axes, settled)
         axes.margins(x=0)
         axes.grid(alpha=0.3)

@@ -9,9 +9,9 @@ import can
 import numpy as np
 
 from daemon.settings import Settings
+from drivers.acquisition import Acquisition
 from drivers.adis16448.burst import Burst
 from drivers.adis16448.device import Adis16448
-from drivers.acquisition import Acquisition
 from drivers.can.bus import CanBus
 from drivers.can.frame import Frame
 from drivers.can.interface import open_bus, to_message

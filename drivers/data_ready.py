@@ -107,5 +107,9 @@ class PacedDataReady:
         self._deadline_ns += (missed + 1) * self._period_ns
         return Edge(now_ns, TimeKind.READ, missed)
 
+    def postpone(self, seconds: float) -> None:
+        """Move all deadlines to come."""
+        self._deadline_ns += round(seconds * 1e9)
+
     def close(self) -> None:
         """Nothing to release."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import sqrt
 
 Row = Sequence[tuple[int, float]]  # sparse row: (state index, coefficient)
 
@@ -31,7 +32,7 @@ class Gaussian:
 
     def sigma(self, i: int) -> float:
         """Standard deviation of state i."""
-        return max(self.p[i][i], 0.0) ** 0.5
+        return sqrt(max(self.p[i][i], 0.0))
 
     def add(self, i: int, j: int, factor: float) -> None:
         """x_i += factor * x_j (i != j), with the covariance that follows."""

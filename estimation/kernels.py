@@ -118,7 +118,7 @@ def kernel_bank(dt_s: float, pre_s: float) -> KernelBank:
     sigma = np.zeros((len(VIBRATION_LEVELS_M_S2), len(SPECS)))
     for k, (spec, post) in enumerate(zip(SPECS, posts, strict=True)):
         n = pre + post
-        t_s = (np.arange(n) - pre + 1) * dt_s  # block ends, relative to the step
+        t_s: Array = dt_s * np.arange(1.0 - pre, 1.0 + n - pre)  # block ends, relative to the step
         members = spec.shape.members(t_s, dt_s)
         s = members.mean(axis=0)
         age = t_s - t_s[0]

@@ -24,6 +24,7 @@ CREEP_M = 1e-5  # per sqrt(s) at rest
 LEVEL_DRIFT_M_S2 = 3e-4  # of the rest level, beside its averaged noise
 SPEED_WANDER = 0.01  # of V, around it, in the constant-velocity segment
 SPEED_WANDER_S = 2.5
+UNWATCHED_SPEED_M_S = 0.005  # a move seldom begins in just a gap
 STOPPED_SIGMA_M_S = 0.0007
 VIBRATION_VELOCITY_S = 0.0092  # velocity of the vibration per rms of its acceleration
 FREE_LEVEL_M_S2 = 0.3
@@ -97,15 +98,24 @@ class Filter:
 
     def cruise(self, dt_s: float, acceleration_m_s2: float, vibration_m_s2: float) -> None:
         """CVM: v is an Ornstein-Uhlenbeck process around V; the acceleration measures b alone."""
+        self.cruise_unwatched(dt_s)
+        g = self.state
+        g.diffuse(B, GYRO_WALK**2 * dt_s)
+        variance = ACCEL_NOISE**2 / dt_s + (0.3 * vibration_m_s2) ** 2
+        g.measure(((B, 1.0),), acceleration_m_s2 - g.x[B], variance)
+
+    def cruise_unwatched(self, dt_s: float) -> None:
+        """CVM without an acceleration."""
         g = self.state
         g.add(P, V, dt_s)
         keep = exp(-dt_s / SPEED_WANDER_S)
         g.scale(V, keep)
         g.add(V, SPEED, 1.0 - keep)
         g.diffuse(V, (SPEED_WANDER * g.x[SPEED]) ** 2 * (1.0 - keep * keep))
-        g.diffuse(B, GYRO_WALK**2 * dt_s)
-        variance = ACCEL_NOISE**2 / dt_s + (0.3 * vibration_m_s2) ** 2
-        g.measure(((B, 1.0),), acceleration_m_s2 - g.x[B], variance)
+
+    def rest_unwatched(self, dt_s: float) -> None:
+        """ZUPT through a short gap: had a move begun in it, this is how far it might have come."""
+        self.state.diffuse(P, (UNWATCHED_SPEED_M_S * dt_s) ** 2)
 
     def stopped(self, vibration_m_s2: float) -> None:
         """v = 0 at the end of the stop burst; through its covariance this corrects V and p over the whole move."""

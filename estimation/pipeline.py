@@ -7,13 +7,14 @@ were handed over. All that it remembers is one tree of plain data, `PipelineStat
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from math import log, sqrt
 from typing import ClassVar
 
 from pydantic import ConfigDict, TypeAdapter
 
+from estimation.belief import SEGMENT_OF, Belief, Phase
 from estimation.blocks import SAMPLES_PER_STEP, BlockCutter
 from estimation.displacement_sensor import STUCK_READINGS, DisplacementSensor, Reading
 from estimation.mount import Mount
@@ -36,12 +37,13 @@ from estimation.settings import EstimatorSettings, MountSettings, SupportSetting
 from estimation.slope import Slope
 from estimation.steps import Block, StepBank
 from estimation.supervision import Supervisor
-from estimation.track import SEGMENT_OF, STOP_BURST_S, Belief, Flow, Free, Phase, Step, Track
+from estimation.track import Step, Track
 
 LAG_S = 4.0  # the settled tier runs so far behind; every decision is taken within it
 WARM_UP_S = 3.0  # gyro bias and level must be known before a burst can be told from them
 SILENT_IMU_S = 0.25
 SENSOR_CHANCE_S = 2.0
+UPSET_LOOK_BACK_S = 0.5  # an unexplained motion began before it was too large to explain
 KNOWN_START_SIGMA_M = 0.0005
 FORBIDDEN_M, FORBIDDEN_SIGMA_M = 0.015, 0.03  # from an end of the stroke, and how well that must be known
 PERIOD_STEPS = 1.02  # kernels are built for step periods on this geometric grid
@@ -75,7 +77,7 @@ class PipelineState:
     recogniser: SegmentRecogniser = field(default_factory=SegmentRecogniser)
     supervisor: Supervisor = field(default_factory=Supervisor)
     slope: Slope = field(default_factory=Slope)
-    belief: list[Motion | Free] = field(default_factory=list)
+    belief: Belief = field(default_factory=Belief)
     buffer: deque[Step] = field(default_factory=deque)
     pending: list[Reading] = field(default_factory=list)
     waiting_start: Start | None = None  # to be believed if no sensor speaks
@@ -203,9 +205,10 @@ class Pipeline:
         silent_s = (t_ns - s.last_ns) * 1e-9
         if silent_s <= 0 or (silent_s < SILENT_IMU_S and not even_short):
             return
-        if not s.belief or not isinstance(s.belief[-1], Free) or s.belief[-1].until_ns is not None:
+        if silent_s >= SILENT_IMU_S and s.belief.open_free is None:
             self._go_free(s.last_ns)
-            out.append(Event(t_ns, "the inertial sensor is silent; the displacement sensor leads"))
+            s.bank = None  # what it saw no longer joins what it will see
+            out.append(Event(t_ns, "the inertial sensor is silent: the displacement sensor leads"))
         zero = (0.0, 0.0, 0.0)
         self._take(Step(t_ns, silent_s, zero, zero, zero, blind=True), out)
 
@@ -217,6 +220,8 @@ class Pipeline:
         decision = None
         if not step.blind:
             decision = self._recognise(step)
+        elif s.bank is not None:
+            s.bank.bridge(step.t_ns)
         s.last_ns = step.t_ns
         if s.waiting_start is not None:
             self._consider_waiting_start(step, out)
@@ -266,9 +271,8 @@ class Pipeline:
         step.vibration_m_s2 = bank.vibration_m_s2
         step.step_m_s = steps.x[CONFIRM_START]
         s.supervisor.see(step)
-        free = bool(s.belief) and isinstance(s.belief[-1], Free) and s.belief[-1].until_ns is None
         assert s.first_ns is not None
-        if free or step.t_ns - s.first_ns < WARM_UP_S * 1e9:
+        if s.belief.open_free is not None or step.t_ns - s.first_ns < WARM_UP_S * 1e9:
             return None
         return s.recogniser.update(step.t_ns, steps, bank, self._context())
 
@@ -300,17 +304,10 @@ class Pipeline:
     def _believe(self, decision: Decision) -> None:
         """Bring the belief in line with what the recogniser decided."""
         s = self.state
-        motion = s.recogniser.motion
+        s.belief.follow(decision, s.recogniser.motion)
         if decision is Decision.START_PROPOSED:
-            assert motion is not None
-            s.belief.append(motion)
             s.worst_in_move = s.can_state
-        elif decision is Decision.START_DISCARDED:
-            s.belief.pop()
-        else:
-            assert motion is not None
-            s.belief[-1] = motion
-        if decision is Decision.STOP_CONFIRMED:
+        elif decision is Decision.STOP_CONFIRMED:
             s.recogniser.motion = None
 
     def _advance(self, track: Track, step: Step) -> list[bool]:
@@ -329,103 +326,92 @@ class Pipeline:
             step, can_state = s.buffer.popleft(), s.can_states.popleft()
             self._advance(s.settled, step)
             out.append(self._estimate(s.settled, step, can_state, Tier.SETTLED))
-        if (
-            s.belief
-            and (end_ns := _end_ns(s.belief[0])) is not None
-            and end_ns < until_ns
-            and len(s.belief) > 1
-        ):
-            s.belief.pop(0)
+        s.belief.forget_before(until_ns)
 
     # --- supervision ------------------------------------------------------------------------------------------
 
     def _supervise(self, step: Step, out: list[Output]) -> None:
         """Look for what no hypothesis of the recogniser explains."""
         s = self.state
-        free = s.belief[-1] if s.belief and isinstance(s.belief[-1], Free) else None
-        if free is not None and free.until_ns is None:
-            if not step.blind and s.supervisor.calm(step.t_ns, free.from_ns, self._can_moves()):
-                s.belief[-1] = Free(free.from_ns, step.t_ns)
+        free = s.belief.open_free
+        if free is not None:
+            if not step.blind and s.supervisor.calm(
+                step.t_ns, free.from_ns, self._sensor_speed() is not None
+            ):
+                s.belief.end_free(step.t_ns)
                 s.recogniser.rest(step.t_ns)
                 out.append(Event(step.t_ns, "at rest again after an unexplained motion"))
-            return
-        if not step.blind and s.supervisor.upset(step, s.head):
-            self._go_free(step.t_ns)
+        elif not step.blind and s.supervisor.upset(step, s.head):
+            self._go_free(step.t_ns - round(UPSET_LOOK_BACK_S * 1e9))
             out.append(Event(step.t_ns, "motion that is neither a push nor a retract"))
-            return
-        self._compare_with_slope(step, out)
+        elif step.readings and s.can_state in (CanState.OK, CanState.BIASED):
+            self._hear_second_opinion(step, out)
 
-    def _can_moves(self) -> bool:
+    def _sensor_speed(self) -> float | None:
+        """Speed that the displacement sensor reports, if it is a moving ram's."""
         s = self.state
-        fit = s.slope.fit(sqrt(s.sensor.noise_m2))
-        fresh = s.can_state is CanState.OK or s.can_state is CanState.BIASED
-        return fresh and fit is not None and abs(fit[0]) > max(0.2 * s.head.push.speed, 3.0 * fit[1])
+        if s.can_state not in (CanState.OK, CanState.BIASED):
+            return None
+        return s.slope.moves(sqrt(s.sensor.noise_m2), s.head.push.speed)
 
-    def _compare_with_slope(self, step: Step, out: list[Output]) -> None:
-        """The displacement sensor moves while the ram is thought at rest, or stands while it is thought to move."""
-        s = self.state
-        if not step.readings or s.can_state not in (CanState.OK, CanState.BIASED):
-            return
-        fit = s.slope.fit(sqrt(s.sensor.noise_m2))
-        if fit is None:
-            return
-        slope, sigma = fit
-        since_ns = s.slope.readings[0][0]
-        last = s.belief[-1] if s.belief else None
-        if s.head.phase is Phase.REST and s.recogniser.resting:
-            if last is not None and (end := _end_ns(last)) is not None and end > since_ns:
-                # The window still holds the end of the last move: a stop that was none shows the full speed.
-                if not isinstance(last, Motion) or step.t_ns - end < 1.2e9:
-                    return
-            if abs(slope) < max(0.4 * s.head.push.speed, 4.0 * sigma):
-                return
-            self._reopen_or_follow(step, last, slope, out)
-        elif s.head.phase is Phase.CRUISE and s.recogniser.motion is not None:
-            expected = s.head.filter.state.x[SPEED]
-            cruising = (since_ns - s.recogniser.motion.onset_ns) * 1e-9 > 1.0
-            if cruising and abs(slope) < 0.3 * abs(expected) and abs(slope - expected) > 5.0 * sigma:
-                self._stop_by_slope(step, expected, out)
-
-    def _reopen_or_follow(
-        self, step: Step, last: Motion | Free | None, slope: float, out: list[Output]
-    ) -> None:
-        s = self.state
-        settled_ns = step.t_ns - round(LAG_S * 1e9)
-        stop_ns = last.stop_ns if isinstance(last, Motion) else None
-        if isinstance(last, Motion) and stop_ns is not None and stop_ns > settled_ns and slope * last.direction > 0:
-            motion = Motion(last.direction, last.onset_ns, last.slow, confirmed=True)
-            s.belief[-1] = motion
-            s.recogniser.motion = motion
-            s.recogniser.ignore_before_ns = step.t_ns - round(1e9)
-            s.moves -= 1  # its summary will come again, under the same number
-            self._run_head_again()
-            out.append(Event(step.t_ns, "the displacement sensor still moves: the stop was none, move re-opened"))
-            return
-        self._go_free(step.t_ns - round(2e9))
-        out.append(Event(step.t_ns, "the displacement sensor moves although no start was felt; following it"))
-
-    def _stop_by_slope(self, step: Step, expected: float, out: list[Output]) -> None:
-        """No stop was felt, but the sensor stands: the ram stopped where its path met the reading."""
+    def _hear_second_opinion(self, step: Step, out: list[Output]) -> None:
+        """The displacement sensor moves while rest is believed, or stands while a move is."""
         s = self.state
         motion = s.recogniser.motion
-        assert motion is not None
-        predicted, _ = s.head.filter.displacement_prediction(0.0)
-        overrun_s = (predicted - s.slope.mean()) / expected
-        stop_ns = max(step.t_ns - round(max(overrun_s, 0.0) * 1e9), motion.onset_ns + round(1e9))
-        stopped = Motion(motion.direction, motion.onset_ns, motion.slow, True, stop_ns, True)
-        s.belief[-1] = stopped
+        if s.head.phase is Phase.REST and motion is None:
+            speed = self._sensor_speed()
+            ended_ns = s.belief.rests_since_ns()
+            # The window must not still hold the move that has just ended.
+            fresh = ended_ns is None or step.t_ns - ended_ns > (1.2e9 if s.belief.last_motion else 2e9)
+            if speed is not None and fresh:
+                self._reopen_or_follow(step, speed, out)
+        elif s.head.phase is Phase.CRUISE and motion is not None:
+            expected = s.head.filter.state.x[SPEED]
+            cruised_s = (s.slope.since_ns - motion.onset_ns) * 1e-9
+            if cruised_s > 1.0 and s.slope.stands(sqrt(s.sensor.noise_m2), expected):
+                self._stop_where_sensor_stands(step, motion, expected, out)
+
+    def _reopen_or_follow(self, step: Step, speed: float, out: list[Output]) -> None:
+        s = self.state
+        motion = s.belief.last_motion
+        stop_ns = None if motion is None else motion.stop_ns
+        unsettled_ns = step.t_ns - round(LAG_S * 1e9)
+        if (
+            motion is not None
+            and stop_ns is not None
+            and stop_ns > unsettled_ns
+            and speed * motion.direction > 0
+        ):
+            going_on = Motion(motion.direction, motion.onset_ns, motion.slow, confirmed=True)
+            s.belief.replace_last(going_on)
+            s.recogniser.reopen(going_on, step.t_ns)
+            s.moves -= 1  # its summary will come again, under the same number
+            self._run_head_again()
+            out.append(
+                Event(step.t_ns, "the displacement sensor still moves: the stop was none, move re-opened")
+            )
+            return
+        self._go_free(step.t_ns - round(2e9))
+        out.append(Event(step.t_ns, "the displacement sensor moves although no start was felt: following it"))
+
+    def _stop_where_sensor_stands(
+        self, step: Step, motion: Motion, expected_m_s: float, out: list[Output]
+    ) -> None:
+        """No stop was felt, but the sensor stands: the ram stopped where its path met the reading."""
+        s = self.state
+        predicted_m, _ = s.head.filter.displacement_prediction(0.0)
+        overrun_s = max((predicted_m - s.slope.mean()) / expected_m_s, 0.0)
+        stop_ns = max(step.t_ns - round(overrun_s * 1e9), motion.onset_ns + round(1e9))
+        s.belief.replace_last(replace(motion, stop_ns=stop_ns, stop_confirmed=True))
         s.recogniser.rest(step.t_ns)
         self._run_head_again()
-        out.append(Event(step.t_ns, "no stop was felt, but the displacement sensor stands; move ended"))
+        out.append(Event(step.t_ns, "no stop was felt, but the displacement sensor stands: move ended"))
         if s.head.ending is not None:
             out.append(self._summary())
 
     def _go_free(self, from_ns: int) -> None:
         s = self.state
-        if s.belief and isinstance(s.belief[-1], Motion) and s.belief[-1].stop_ns is None:
-            motion = s.belief.pop()
-            from_ns = min(from_ns, motion.onset_ns) if not motion.confirmed else from_ns
-        s.belief.append(Free(from_ns))
+        s.belief.begin_free(from_ns)
         s.recogniser.motion = None
         self._run_head_again()
 
@@ -455,8 +441,8 @@ class Pipeline:
 
     def _summary(self) -> Move:
         s = self.state
-        motion, ending = s.belief[-1], s.head.ending
-        assert isinstance(motion, Motion)
+        motion, ending = s.belief.last_motion, s.head.ending
+        assert motion is not None
         assert motion.stop_ns is not None
         assert ending is not None
         s.moves += 1
@@ -474,12 +460,6 @@ class Pipeline:
             can_state=s.worst_in_move,
             tier=Tier.SETTLED,
         )
-
-
-def _end_ns(item: Motion | Free) -> int | None:
-    if isinstance(item, Free):
-        return item.until_ns
-    return None if item.stop_ns is None else item.stop_ns + round(STOP_BURST_S * 1e9)
 
 
 def _direction_word(motion: Motion | None) -> str:

@@ -121,6 +121,11 @@ class SegmentRecogniser:
         self.motion = None
         self.last_event_ns = self.ignore_before_ns = t_ns
 
+    def reopen(self, motion: Motion, t_ns: int) -> None:
+        """The stop of `motion` was none: look for the true one from about now on."""
+        self.motion = motion
+        self.ignore_before_ns = t_ns - round(1e9)
+
     def update(self, t_ns: int, steps: Steps, bank: StepBank, context: Context) -> Decision | None:
         """Judge one block; at most one decision a block."""
         motion = self.motion

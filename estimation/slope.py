@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 WINDOW_S = 2.0
 READINGS_WANTED = 10
+MOVING_SHARE, STANDING_SHARE = 0.4, 0.3  # of the usual or expected speed
 
 
 @dataclass(slots=True)
@@ -41,3 +42,22 @@ class Slope:
     def mean(self) -> float:
         """Mean value [m]."""
         return sum(value for _, value in self.readings) / len(self.readings)
+
+    def moves(self, noise_m: float, usual_speed_m_s: float) -> float | None:
+        """The slope [m/s], if it is as large as a moving ram's."""
+        fit = self.fit(noise_m)
+        if fit is None or abs(fit[0]) < max(MOVING_SHARE * usual_speed_m_s, 4.0 * fit[1]):
+            return None
+        return fit[0]
+
+    def stands(self, noise_m: float, expected_m_s: float) -> bool:
+        """Whether the source stands while a speed of `expected_m_s` is believed."""
+        fit = self.fit(noise_m)
+        if fit is None:
+            return False
+        return abs(fit[0]) < STANDING_SHARE * abs(expected_m_s) and abs(fit[0] - expected_m_s) > 5.0 * fit[1]
+
+    @property
+    def since_ns(self) -> int:
+        """Time of the oldest reading in the window."""
+        return self.readings[0][0] if self.readings else 0

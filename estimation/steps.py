@@ -145,6 +145,15 @@ class StepBank:
         self.sigma[-1] = sigma
         return Steps(tuple(x.tolist()), tuple(sigma.tolist()))
 
+    def bridge(self, t_ns: int) -> None:
+        """Repeat the last block up to a time: the kernels must find the blocks after a short gap in their places."""
+        while self.times_ns and t_ns - self.times_ns[-1] > 0.5e9 * self.dt_s:
+            at_ns = self.times_ns[-1] + round(self.dt_s * 1e9)
+            for window in (self.push_m_s2, self.tilt_rate_rad_s, self.x, self.sigma):
+                window[:-1] = window[1:]
+            self.times_ns.append(at_ns)
+            self.vibration.append(self.vibration_m_s2)
+
     def event_time_ns(self, kernel: int, ago: int = 0) -> int:
         """Time of the step that kernel `kernel` judged `ago` blocks before now."""
         back = self.post_steps[kernel] + ago

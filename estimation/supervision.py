@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from estimation.track import Phase, Step, Track
+from estimation.belief import Phase
+from estimation.track import Step, Track
 
 UPSET_STEP = 2.5  # times the fastest usual speed
 UPSET_ACCELERATION_M_S2 = 5.0  # filtered; a ram's burst stays below

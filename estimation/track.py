@@ -7,21 +7,18 @@ provisional one is a copy of it, run to the present, and run again from there wh
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from enum import StrEnum
 from math import sqrt
 
+from estimation.belief import Belief, Phase
 from estimation.chart import ControlChart
 from estimation.displacement_sensor import GATE_SIGMAS, Reading
 from estimation.kernels import ACCEL_NOISE
-from estimation.mskf import LEVEL_DRIFT_M_S2, P, SPEED, V, Filter
+from estimation.mskf import LEVEL_DRIFT_M_S2, SPEED, Filter, P, V
 from estimation.orientation import IDENTITY, Quaternion, corrected, matrix, propagated
-from estimation.records import Segment, Vector
+from estimation.records import Vector
 from estimation.segments import Motion
 from estimation.settings import EstimatorSettings, SupportSettings
 
-BURST_LEAD_S = 0.1  # the refined onset may be this late
-START_BURST_S, SLOW_START_BURST_S = 0.9, 1.6
-STOP_BURST_S = 0.8
 SPEED_REACHED_S, SLOW_SPEED_REACHED_S = (0.55, 0.7, 0.85), (1.2, 1.35, 1.5)
 LEVEL_TIME_S = 3.0
 GYRO_BIAS_TIME_S = 10.0
@@ -29,56 +26,6 @@ CHART_QUIET_S = 0.5
 HEALTHY_NIS = 3.0
 READINGS_FOR_EVIDENCE = 10
 STOP_NEAR_SIGMAS, STOP_NEAR_M = 3.0, 0.004
-
-
-class Phase(StrEnum):
-    """Part of a move, or none of one."""
-
-    REST = "rest"
-    START = "start"
-    CRUISE = "cruise"
-    STOP = "stop"
-    FREE = "free"
-
-
-SEGMENT_OF = {
-    Phase.REST: Segment.ZUPT,
-    Phase.START: Segment.VVS,
-    Phase.CRUISE: Segment.CVS,
-    Phase.STOP: Segment.VVS,
-    Phase.FREE: Segment.VVS,
-}
-
-
-@dataclass(slots=True, frozen=True)
-class Free:
-    """A time in which no model is known to hold; without `until_ns` it still goes on."""
-
-    from_ns: int
-    until_ns: int | None = None
-
-
-Belief = list[Motion | Free]  # in order of time
-
-
-def phase_at(t_ns: int, belief: Belief) -> tuple[Phase, Motion | None]:
-    """Phase at a time, and the move it belongs to."""
-    for item in reversed(belief):
-        if isinstance(item, Free):
-            if item.from_ns <= t_ns and (item.until_ns is None or t_ns < item.until_ns):
-                return Phase.FREE, None
-            continue
-        since_onset_s = (t_ns - item.onset_ns) * 1e-9
-        if since_onset_s < -BURST_LEAD_S:
-            continue
-        since_stop_s = -1.0 if item.stop_ns is None else (t_ns - item.stop_ns) * 1e-9
-        if since_stop_s >= STOP_BURST_S:
-            continue
-        if item.stop_ns is not None and since_stop_s >= -BURST_LEAD_S:
-            return Phase.STOP, item
-        burst_s = SLOW_START_BURST_S if item.slow else START_BURST_S
-        return (Phase.START if since_onset_s < burst_s else Phase.CRUISE), item
-    return Phase.REST, None
 
 
 @dataclass(slots=True)
@@ -175,14 +122,23 @@ class Track:
         self, step: Step, belief: Belief, settings: EstimatorSettings, latency_s: float
     ) -> list[bool]:
         """Go one step on. Returns, for each usable reading of the step, whether it lay within the gate."""
-        phase, motion = phase_at(step.t_ns, belief)
+        phase, motion = belief.phase_at(step.t_ns)
         if phase is not self.phase:
             self._change(phase, motion, step, settings)
         if step.blind:
-            self.filter.blind(step.dt_s)
+            self._guess(step)
         else:
             self._feel(step, motion)
         return [self._observe(reading, step.t_ns, latency_s) for reading in step.readings if reading.usable]
+
+    def _guess(self, step: Step) -> None:
+        """A step without inertial samples: rest and cruise go on by themselves, a burst or worse is lost."""
+        if self.phase is Phase.REST:
+            self.filter.rest_unwatched(step.dt_s)
+        elif self.phase is Phase.CRUISE:
+            self.filter.cruise_unwatched(step.dt_s)
+        else:
+            self.filter.blind(step.dt_s)
 
     def _feel(self, step: Step, motion: Motion | None) -> None:
         """Orientation, levelled acceleration and the model of the phase."""

@@ -275,7 +275,7 @@ def _wander(rng: np.random.Generator, t_s: FloatArray, tau_s: float) -> FloatArr
     for i in range(n):
         knots[i] = value
         value = keep * value + kicks[i]
-    return np.interp(t_s - t_s[0], np.arange(n) * step, knots)
+    return np.asarray(np.interp(t_s - t_s[0], np.arange(n) * step, knots))
 
 
 def _low_pass(x: FloatArray, corner_hz: float) -> FloatArray:

@@ -17,7 +17,6 @@ import stat
 import struct
 import threading
 import time
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Literal
 
 from drivers.data_ready import DataReadyError, Edge
@@ -70,7 +69,8 @@ class SpiSocketServer:
         self._bus = threading.Lock()  # one SPI port, however many clients
         self._stopping = threading.Event()
         self._connections: set[socket.socket] = set()
-        self._threads: list[threading.Thread] = []
+        self._acceptor = threading.Thread(target=self._accept, name="spi socket", daemon=True)
+        self._servers: list[threading.Thread] = []
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
             _remove_stale(path)
@@ -85,34 +85,34 @@ class SpiSocketServer:
 
     def start(self) -> None:
         """Accept clients."""
-        self._spawn(self._accept)
+        self._acceptor.start()
 
     def close(self) -> None:
         """Hang up on every client, end the threads, remove the socket file."""
         self._stopping.set()
+        if self._acceptor.ident is not None:
+            self._acceptor.join()
         for connection in list(self._connections):
             with contextlib.suppress(OSError):
                 connection.shutdown(socket.SHUT_RDWR)
-        for thread in self._threads:
+        for thread in self._servers:
             thread.join()
         self._listener.close()
         with contextlib.suppress(OSError):
             if os.stat(self._path).st_ino == self._inode:
                 os.unlink(self._path)
 
-    def _spawn(self, target: Callable[..., None], *arguments: socket.socket) -> None:
-        thread = threading.Thread(target=target, args=arguments, name="spi socket", daemon=True)
-        self._threads = [old for old in self._threads if old.is_alive()] + [thread]
-        thread.start()
-
     def _accept(self) -> None:
         while not self._stopping.is_set():
-            if select.select([self._listener], [], [], _POLL_S)[0]:
-                connection, _ = self._listener.accept()
-                self._spawn(self._serve, connection)
+            if not select.select([self._listener], [], [], _POLL_S)[0]:
+                continue
+            connection, _ = self._listener.accept()
+            self._connections.add(connection)
+            server = threading.Thread(target=self._serve, args=(connection,), name="spi client", daemon=True)
+            self._servers = [old for old in self._servers if old.is_alive()] + [server]
+            server.start()
 
     def _serve(self, connection: socket.socket) -> None:
-        self._connections.add(connection)
         try:
             with connection:
                 kind, pin, active_high = _GREETING.unpack(_receive(connection))
@@ -193,6 +193,7 @@ class SocketTransport:
             _send(self._connection, _SPEED.pack(speed_hz) + data)
             return _receive(self._connection)
         except (OSError, EOFError) as error:
+            self.close()  # a late answer must not be taken for that of the next frame
             raise SpiError(
                 f"the virtual sensor at {self._path} is gone: start `ramstroke sim` again"
             ) from error

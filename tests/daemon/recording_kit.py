@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 import pytest
+from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
 
 from daemon.recording import topics
@@ -163,3 +164,9 @@ class _SmallFile(io.FileIO):
             raise OSError(errno.ENOSPC, "No space left on device")
         self._disk.room -= taken
         return super().write(data[:taken])
+
+
+def passes_official_reader(path: Path) -> int:
+    """Number of messages by the official reader with all checks; raises when it objects."""
+    with path.open("rb") as stream:
+        return len(list(make_reader(stream, validate_crcs=True).iter_messages()))

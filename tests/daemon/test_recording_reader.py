@@ -26,6 +26,7 @@ from tests.daemon.recording_kit import (
     SmallDisk,
     burst,
     chunks_of,
+    passes_official_reader,
     records_of,
     stream_reader_count,
     write_recording,
@@ -43,12 +44,6 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes, list[tuple[s
 def read_all(path: Path) -> tuple[Recording, list[tuple[str, Recorded]]]:
     recording = Recording(path)
     return recording, list(recording.messages())
-
-
-def passes_official_reader(path: Path) -> int:
-    """Number of messages by the official reader with all checks; raises when it objects."""
-    with path.open("rb") as stream:
-        return len(list(make_reader(stream, validate_crcs=True).iter_messages()))
 
 
 def test_a_file_cut_anywhere_gives_a_prefix_of_its_messages_and_the_recovered_file_the_same(
@@ -153,7 +148,9 @@ def test_damage_in_the_index_costs_no_message_and_is_noticed(
     data, written = small
     path, repaired = tmp_path / "index.mcap", tmp_path / "repaired.mcap"
     data_end = next(start for opcode, start, _ in records_of(data) if opcode == 0x0F)
-    for at in (data_end + 30, len(data) - 20, len(data) - 3):
+    footer = len(data) - 8 - 29
+    # In a repeated schema; opcode, summary offset (little, large) and checksum of the footer; last magic.
+    for at in (data_end + 30, footer, footer + 9, footer + 14, footer + 28, len(data) - 3):
         hurt = bytearray(data)
         hurt[at] ^= 1
         path.write_bytes(hurt)
@@ -499,7 +496,7 @@ def test_a_full_disk_is_named_and_leaves_nothing_behind(
     SmallDisk(room).hold_what_is_written(monkeypatch)
 
     def fill() -> None:
-        with RecordingWriter(path, METADATA) as writer:
+        with RecordingWriter(path, METADATA, {"state": bytes(9000)}) as writer:
             for number in range(5000):
                 writer.write(topics.IMU_RAW, burst(number))
 

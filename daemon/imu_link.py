@@ -1,0 +1,142 @@
+"""The inertial sensor's side of the daemon: a thread that starts the part, acquires, and starts again."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from daemon.settings import Settings
+from drivers.acquisition import Acquisition
+from drivers.adis16448.burst import Burst, Fault
+from drivers.adis16448.configuration import ImuSettings
+from drivers.adis16448.device import Adis16448, Identity, ImuError
+from drivers.clock import Clock
+from drivers.data_ready import DataReady, DataReadyError, GpiodDataReady, PacedDataReady
+from drivers.spi import SpidevTransport, SpiError, SpiTransport
+
+if TYPE_CHECKING:
+    from drivers.virtual.support import VirtualSupport
+
+FIRST_RETRY_S, LONGEST_RETRY_S = 0.5, 5.0
+DEAD_S = 2.0  # without one good sample: start the part anew
+
+_log = logging.getLogger(__name__)
+
+
+def open_ports(
+    settings: ImuSettings, clock: Clock, support: VirtualSupport | None
+) -> tuple[SpiTransport, DataReady]:
+    """The SPI port and the data-ready line that the settings name.
+
+    Raises:
+        SpiError, DataReadyError: a port cannot be opened.
+    """
+    pin, active_high = settings.data_ready_pin, settings.data_ready_active_high
+    if settings.transport == "virtual":
+        from daemon.virtual import virtual_part
+
+        assert support is not None
+        part = virtual_part(support, clock)
+        return part, part.data_ready(pin=pin, active_high=active_high)
+    if settings.transport == "socket":
+        from drivers.virtual.spi_socket import SocketDataReady, SocketTransport
+
+        transport = SocketTransport(settings.socket_path)
+        return transport, SocketDataReady(settings.socket_path, pin=pin, active_high=active_high)
+    spi = SpidevTransport(settings.spi_device)
+    if settings.data_ready_line is None:
+        return spi, PacedDataReady(clock, settings.nominal_period_s)
+    return spi, GpiodDataReady(settings.data_ready_chip, settings.data_ready_line, active_high=active_high)
+
+
+class ImuLink:
+    """Brings bursts to `on_block` (called in the acquisition thread) for as long as it takes."""
+
+    def __init__(
+        self,
+        settings: Settings,
+        clock: Clock,
+        on_block: Callable[[list[Burst]], None],
+        support: VirtualSupport | None = None,
+    ) -> None:
+        self._settings = settings.imu
+        self._clock = clock
+        self._on_block = on_block
+        self._support = support
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="imu", daemon=True)
+        self._acquisition: Acquisition | None = None
+        self.state = "waiting: not started yet"
+        self.identity: Identity | None = None
+        self.starts = 0
+
+    def start(self) -> None:
+        """Start the thread."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End acquisition and the thread."""
+        self._stopping.set()
+        self._thread.join(10.0)
+
+    def health(self) -> dict[str, Any]:
+        """Counters and state, for people and recordings."""
+        report: dict[str, Any] = {"state": self.state, "starts": self.starts}
+        if self.identity is not None:
+            report["serial"] = self.identity.serial
+        acquisition = self._acquisition
+        if acquisition is not None:
+            counters = asdict(acquisition.counters)
+            counters["faults"] = {Fault(kind).name.lower(): n for kind, n in counters["faults"].items() if n}
+            report |= counters | {"paced": acquisition.is_paced}
+        return report
+
+    def _run(self) -> None:
+        retry_s = FIRST_RETRY_S
+        while not self._stopping.is_set():
+            try:
+                self._acquire()
+            except (SpiError, DataReadyError, ImuError, OSError) as error:
+                if self.state != f"waiting: {error}":
+                    _log.warning("the inertial sensor cannot be started: %s", error)
+                self.state = f"waiting: {error}"
+                self._stopping.wait(retry_s)
+                retry_s = min(2 * retry_s, LONGEST_RETRY_S)
+
+    def _wait_while_good(self, acquisition: Acquisition) -> None:
+        """Return on stop; raise ImuError when good samples have ceased."""
+        counters, good = acquisition.counters, -1
+        while not self._stopping.wait(DEAD_S):
+            now_good = counters.samples - sum(counters.faults.values())
+            if now_good == good:
+                raise ImuError(
+                    f"no good sample for {DEAD_S:g} s ({counters.last_error or 'see the counted faults'}): "
+                    "the part is started anew; check its cable and supply"
+                )
+            good = now_good
+
+    def _acquire(self) -> None:
+        transport, data_ready = open_ports(self._settings, self._clock, self._support)
+        try:
+            device = Adis16448(transport, self._clock, self._settings)
+            self.identity = device.start()
+            for note in device.notes:
+                _log.warning("inertial sensor: %s", note)
+            acquisition = Acquisition(
+                device, data_ready, self._clock, self._settings.block_samples, self._on_block
+            )
+            self._acquisition = acquisition
+            self.starts += 1
+            self.state = "running"
+            _log.info("inertial sensor running, serial %d", self.identity.serial)
+            acquisition.start()
+            try:
+                self._wait_while_good(acquisition)
+            finally:
+                acquisition.stop()
+        finally:
+            data_ready.close()
+            transport.close()

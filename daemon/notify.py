@@ -1,0 +1,46 @@
+"""Words to systemd over its notification socket (sd_notify(3)); silent where there is none."""
+
+from __future__ import annotations
+
+import os
+import socket
+
+
+class Notifier:
+    """READY, STATUS, WATCHDOG and STOPPING of a Type=notify service."""
+
+    def __init__(self, address: str | None = None) -> None:
+        self._address = os.environ.get("NOTIFY_SOCKET") if address is None else address
+
+    @property
+    def watchdog_s(self) -> float | None:
+        """Interval in which systemd wants a sign of life; None without a watchdog."""
+        text = os.environ.get("WATCHDOG_USEC", "")
+        return int(text) / 1e6 if text.isdigit() and int(text) > 0 else None
+
+    def ready(self) -> None:
+        """The service has started."""
+        self._send("READY=1")
+
+    def stopping(self) -> None:
+        """The service ends on purpose."""
+        self._send("STOPPING=1")
+
+    def watchdog(self) -> None:
+        """A sign of life; call it only when data have moved."""
+        self._send("WATCHDOG=1")
+
+    def status(self, text: str) -> None:
+        """One line for `systemctl status`."""
+        self._send(f"STATUS={text}")
+
+    def _send(self, message: str) -> None:
+        if not self._address:
+            return
+        # An address that begins with @ is in the abstract namespace.
+        address = "\0" + self._address[1:] if self._address.startswith("@") else self._address
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as channel:
+            try:
+                channel.sendto(message.encode(), address)
+            except OSError:
+                return  # systemd has gone: nothing depends on the words

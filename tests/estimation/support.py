@@ -1,0 +1,143 @@
+"""Synthetic records of the virtual support for the estimator's tests, without the register-level twin."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.adis16448.registers import ACCEL_LSB, GYRO_LSB_DPS
+from drivers.virtual.motion import SCENARIOS, PlannedMove, TrueMove, full_cycle
+from drivers.virtual.support import VirtualSupport
+from estimation.pipeline import Pipeline
+from estimation.records import Displacement, Estimate, Event, ImuSample, Move, Output, Record, Tier
+
+Floats = NDArray[np.float64]
+
+# The part's default filter: two averages of four samples in cascade.
+FILTER = np.convolve(np.full(4, 0.25), np.full(4, 0.25))
+SHORT = full_cycle(stroke_m=0.12)
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run of the virtual support as the estimator receives it, and the truth."""
+
+    t_ns: NDArray[np.int64]  # of the inertial samples
+    gyro: Floats
+    accel: Floats
+    readings: tuple[Displacement, ...]
+    true_t_s: Floats
+    true_m: Floats
+    moves: tuple[TrueMove, ...]
+
+    def samples(self) -> list[ImuSample]:
+        """The inertial samples."""
+        return [
+            ImuSample(t, (a, b, c), (x, y, z))
+            for t, (a, b, c), (x, y, z) in zip(
+                self.t_ns.tolist(), self.gyro.tolist(), self.accel.tolist(), strict=True
+            )
+        ]
+
+    def records(self, readings: Iterable[Displacement] | None = None) -> list[Record]:
+        """Everything in order of time; `readings` replaces what the displacement sensor said."""
+        return merged(self.samples(), self.readings if readings is None else readings)
+
+    def truth_m(self, t_ns: int | NDArray[np.int64]) -> Floats:
+        """True displacement."""
+        return np.asarray(np.interp(np.asarray(t_ns) * 1e-9, self.true_t_s, self.true_m))
+
+
+def merged(*streams: Iterable[Record]) -> list[Record]:
+    """Streams of records as one, in order of time."""
+    return sorted((record for stream in streams for record in stream), key=lambda record: record.t_ns)
+
+
+@cache
+def run_of(
+    seed: int, scenario: str = "nominal", script: tuple[PlannedMove, ...] | None = None, cycles: int = 1
+) -> Run:
+    """One seed's run; sensor errors, filter and quantisation of the part included."""
+    support = VirtualSupport(seed, SCENARIOS[scenario], cycles=cycles, script=script)
+    blocks = []
+    source = support.inertial_input()
+    while (block := source.block()) is not None:
+        blocks.append(block)
+    t_ns = np.concatenate([block.t_ns for block in blocks])
+    gyro, accel = support.sensor_errors.apply(
+        1.0 / support.sample_rate_hz,
+        np.concatenate([block.gyro for block in blocks]),
+        np.concatenate([block.accel for block in blocks]),
+        np.concatenate([block.temperature_c for block in blocks]),
+    )
+    truth = support.truth()
+    readings = tuple(Displacement(t, value) for t, value in support.observations())
+    return Run(
+        t_ns=t_ns,
+        gyro=_sensed(gyro, np.radians(GYRO_LSB_DPS[1000])),
+        accel=_sensed(accel, ACCEL_LSB),
+        readings=readings,
+        true_t_s=truth.t_s,
+        true_m=truth.displacement_m,
+        moves=support.true_moves(),
+    )
+
+
+def _sensed(values: Floats, lsb: float) -> Floats:
+    padded = np.vstack([np.repeat(values[:1], len(FILTER) - 1, axis=0), values])
+    filtered = np.column_stack([np.convolve(column, FILTER, "valid") for column in padded.T])
+    return np.asarray(np.rint(filtered / lsb) * lsb)
+
+
+def rest_samples(
+    seconds: float, seed: int, *, rate_hz: float = 819.2, start_ns: int = 0
+) -> list[ImuSample]:
+    """A level sensor at rest: white noise of the data sheet's size."""
+    rng = np.random.default_rng(seed)
+    n = int(seconds * rate_hz)
+    accel = rng.normal(0.0, 0.0456, (n, 3)) + [0.0, 0.0, 9.80665]
+    gyro = rng.normal(0.0, np.radians(0.0135) * np.sqrt(rate_hz / 2), (n, 3))
+    return [
+        ImuSample(start_ns + round(i / rate_hz * 1e9), (a, b, c), (x, y, z))
+        for i, ((a, b, c), (x, y, z)) in enumerate(zip(gyro.tolist(), accel.tolist(), strict=True))
+    ]
+
+
+@dataclass(frozen=True)
+class Told:
+    """What a pipeline said."""
+
+    outputs: tuple[Output, ...]
+
+    @property
+    def provisional(self) -> list[Estimate]:
+        return [o for o in self.outputs if isinstance(o, Estimate) and o.tier is Tier.PROVISIONAL]
+
+    @property
+    def settled(self) -> list[Estimate]:
+        return [o for o in self.outputs if isinstance(o, Estimate) and o.tier is Tier.SETTLED]
+
+    @property
+    def moves(self) -> list[Move]:
+        """The last word on each move."""
+        return list({o.number: o for o in self.outputs if isinstance(o, Move)}.values())
+
+    @property
+    def events(self) -> list[Event]:
+        return [o for o in self.outputs if isinstance(o, Event)]
+
+    def words(self) -> str:
+        """All events as one text."""
+        return "\n".join(event.what for event in self.events)
+
+
+def told(pipeline: Pipeline, records: Sequence[Record]) -> Told:
+    """Feed everything and finish."""
+    outputs: list[Output] = []
+    for record in records:
+        outputs += pipeline.feed(record)
+    return Told((*outputs, *pipeline.finish()))
