@@ -211,9 +211,7 @@ def _open_table(source: Path) -> Iterator[Iterator[str]]:
     except UnicodeDecodeError as error:
         raise CsvError(f"{source} is not text in UTF-8: save it as CSV in UTF-8") from error
     except csv.Error as error:
-        raise CsvError(
-            f"{source} is not a proper CSV table ({error}): check quotes and separators"
-        ) from error
+        raise CsvError(f"{source} is not a proper CSV table ({error}): check quotes and separators") from error
     except (gzip.BadGzipFile, EOFError, zlib.error) as error:
         raise CsvError(f"{source} is damaged or not compressed by gzip: fetch or unpack it again") from error
     except OSError as error:

@@ -26,9 +26,7 @@ DEAD_S = 2.0  # without one good sample: start the part anew
 _log = logging.getLogger(__name__)
 
 
-def open_ports(
-    settings: ImuSettings, clock: Clock, support: VirtualSupport | None
-) -> tuple[SpiTransport, DataReady]:
+def open_ports(settings: ImuSettings, clock: Clock, support: VirtualSupport | None) -> tuple[SpiTransport, DataReady]:
     """The SPI port and the data-ready line that the settings name.
 
     Raises:
@@ -125,9 +123,7 @@ class ImuLink:
             self.identity = device.start()
             for note in device.notes:
                 _log.warning("inertial sensor: %s", note)
-            acquisition = Acquisition(
-                device, data_ready, self._clock, self._settings.block_samples, self._on_block
-            )
+            acquisition = Acquisition(device, data_ready, self._clock, self._settings.block_samples, self._on_block)
             self._acquisition = acquisition
             self.starts += 1
             self.state = "running"

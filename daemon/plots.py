@@ -22,9 +22,7 @@ class PlotError(CommandError):
     """A picture cannot be made; one sentence."""
 
 
-def plot_demo(
-    path: Path, truth: Trajectory, settled: Sequence[Estimate], observed: Sequence[Displacement]
-) -> None:
+def plot_demo(path: Path, truth: Trajectory, settled: Sequence[Estimate], observed: Sequence[Displacement]) -> None:
     """Stroke, error and acceleration of the demo's cycle as a PNG. Raises PlotError."""
     try:
         import matplotlib
@@ -59,15 +57,11 @@ def plot_demo(
     deviation.plot(t_s, p_mm - true_mm, color=BLUE, linewidth=1.2, label="ramstroke − truth")
     deviation.set_ylabel("error [mm]")
 
-    speed.plot(
-        t_s, np.interp(t_s, truth.t_s, truth.velocity_m_s) * 1e3, color="black", linewidth=0.6, label="truth"
-    )
+    speed.plot(t_s, np.interp(t_s, truth.t_s, truth.velocity_m_s) * 1e3, color="black", linewidth=0.6, label="truth")
     speed.plot(t_s, [e.velocity_m_s * 1e3 for e in settled], color=BLUE, linewidth=1.0, label="ramstroke")
     speed.set_ylabel("speed [mm/s]")
 
-    burst.plot(
-        t_s, [e.acceleration_m_s2 for e in settled], color=BLUE, linewidth=0.4, label="levelled push axis"
-    )
+    burst.plot(t_s, [e.acceleration_m_s2 for e in settled], color=BLUE, linewidth=0.4, label="levelled push axis")
     for limit in ("chart_lower_m_s2", "chart_upper_m_s2"):
         burst.plot(t_s, [getattr(e, limit) for e in settled], color=VERMILION, linewidth=0.9)
     burst.set_ylabel("acceleration [m/s²]")

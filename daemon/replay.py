@@ -68,9 +68,7 @@ def settings_of(recording: Recording) -> Settings:
     """The settings that a recording was made with. Raises RecordingError if they cannot be read."""
     text = recording.metadata.get("settings")
     if text is None:
-        raise RecordingError(
-            f"{recording.path} does not say with which settings it was made: name --config FILE"
-        )
+        raise RecordingError(f"{recording.path} does not say with which settings it was made: name --config FILE")
     try:
         return Settings.model_validate_json(text)
     except ValueError as error:

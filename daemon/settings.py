@@ -20,9 +20,7 @@ class _Section(BaseModel):
 class ServiceSettings(_Section):
     """The running daemon itself."""
 
-    socket: Path = Field(
-        Path("/run/ramstroke/live.sock"), description="Unix socket that `status` and viewers read"
-    )
+    socket: Path = Field(Path("/run/ramstroke/live.sock"), description="Unix socket that `status` and viewers read")
     state_file: Path = Field(
         Path("/var/lib/ramstroke/state.json"), description="where the stroke is remembered over a restart"
     )
@@ -32,8 +30,8 @@ class SimulationSettings(_Section):
     """The virtual support of `sim`, of `demo` and of the transport `virtual`."""
 
     seed: int = Field(1, ge=0, description="seed of machine, sensors and noise")
-    scenario: Literal["nominal", "lab_bench"] = Field("nominal", description="distributions of the motion")
-    reference: bool = Field(True, description="let a laboratory sensor send its frames too")
+    scenario: Literal["nominal", "lab_bench"] = Field("nominal", description="how much it shakes and tilts")
+    reference: bool = Field(True, description="let a laboratory sensor send its frames on CAN too")
 
 
 class Settings(_Section):

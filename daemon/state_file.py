@@ -37,9 +37,7 @@ class SavedStroke(BaseModel):
     def start(self, now_s: float) -> Start:
         """What it is still worth: the doubt grows with the time nobody watched; saved in a move, nothing is known."""
         hours = max(now_s - self.wall_time_s, 0.0) / 3600
-        sigma_m = sqrt(
-            (self.sigma_mm / 1e3) ** 2 + UNWATCHED_SIGMA_M**2 + (UNWATCHED_PER_HOUR_M * hours) ** 2
-        )
+        sigma_m = sqrt((self.sigma_mm / 1e3) ** 2 + UNWATCHED_SIGMA_M**2 + (UNWATCHED_PER_HOUR_M * hours) ** 2)
         if not self.at_rest or sigma_m >= self.stroke_mm / 1e3 / sqrt(12.0):
             return Start()
         return Start(self.displacement_mm / 1e3, sigma_m, only_without_sensor=True)

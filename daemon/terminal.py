@@ -15,7 +15,8 @@ from rich.table import Table
 
 from estimation.records import Move
 
-OUT = Console(soft_wrap=True)
+# A pipe or a file has no width of its own: wide enough for every table.
+OUT = Console(soft_wrap=True, width=None if sys.stdout.isatty() else 140)
 ERR = Console(stderr=True, soft_wrap=True)
 
 

@@ -89,9 +89,7 @@ class ControllerTransmitter:
                 self._bus.send(to_message(frame))
             except (can.CanError, OSError, ValueError) as error:
                 if self.failed == 0:
-                    _log.warning(
-                        "the virtual controller cannot send on %s: %s", self._settings.channel, error
-                    )
+                    _log.warning("the virtual controller cannot send on %s: %s", self._settings.channel, error)
                 self.failed += 1
                 self.close()
             else:
@@ -115,9 +113,7 @@ class SimulatedRun:
         data_ready = self._part.data_ready(
             pin=settings.imu.data_ready_pin, active_high=settings.imu.data_ready_active_high
         )
-        self.acquisition = Acquisition(
-            device, data_ready, clock, settings.imu.block_samples, on_block=lambda _: None
-        )
+        self.acquisition = Acquisition(device, data_ready, clock, settings.imu.block_samples, on_block=lambda _: None)
         self._transmitter = self._bus = None
         if settings.can.enabled:
             self._transmitter = ControllerTransmitter(settings, virtual_controller(settings, support), clock)

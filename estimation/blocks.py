@@ -11,6 +11,7 @@ from estimation.wavelet import CausalSmoother
 
 SAMPLES_PER_STEP = 8
 GAP_S = 0.05  # longer than any jitter, shorter than any burst
+PERIOD_MEMORY = 2000  # samples
 GAP_PERIODS = 4.0  # of the source itself, if that is slow
 
 _ZERO: Vector = (0.0, 0.0, 0.0)
@@ -38,12 +39,12 @@ class BlockCutter:
             if dt_s <= 0.0:
                 self.backward += 1
                 return 0.0, None
-            if dt_s > max(GAP_S, GAP_PERIODS * self.period_s):
+            # The very first interval is all that is known of the period.
+            if self.periods and dt_s > max(GAP_S, GAP_PERIODS * self.period_s):
                 gap_s = dt_s
                 self._start_anew()
             else:
-                self.periods = min(self.periods + 1, 2000)
-                self.period_s += (dt_s - self.period_s) / self.periods
+                self._learn_period(dt_s)
         if self.step_end_ns is None:
             # The first block after a start or a gap begins one period before its first sample.
             self.step_end_ns = sample.t_ns - round(self.period_s * 1e9)
@@ -55,6 +56,14 @@ class BlockCutter:
         self.gyro = _plus(self.gyro, gyro)
         self.count += 1
         return gap_s, self._cut() if self.count == SAMPLES_PER_STEP else None
+
+    def _learn_period(self, dt_s: float) -> None:
+        """Mean distance of neighbouring samples; where some were lost between them, it says nothing."""
+        if self.periods == 0 or dt_s < 0.6 * self.period_s:
+            self.period_s, self.periods = dt_s, 1
+        elif dt_s < 1.6 * self.period_s:
+            self.periods = min(self.periods + 1, PERIOD_MEMORY)
+            self.period_s += (dt_s - self.period_s) / self.periods
 
     def _cut(self) -> Step:
         assert self.last_ns is not None

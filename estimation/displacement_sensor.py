@@ -40,7 +40,7 @@ class DisplacementSensor:
     last_prediction_m: float = 0.0
     period_s: float = 0.1
     same_in_row: int = 0
-    travel_in_row_m: float = 0.0
+    row_began_m: float = 0.0  # the prediction when the row of identical readings began
     rejected_in_row: int = 0
     accepted_in_row: int = 0
     invalid: bool = False
@@ -61,16 +61,18 @@ class DisplacementSensor:
         if self.invalid or self.out_of_range:
             return Reading(reading.t_ns, reading.value_m, usable=False)
 
-        travelled = abs(predicted_m - self.last_prediction_m)
         if not first and reading.value_m == self.last_value_m:
+            if self.same_in_row == 0:
+                # Not the first prediction of the row: that one may have known nothing of the value yet.
+                self.row_began_m = predicted_m
             self.same_in_row += 1
-            self.travel_in_row_m += travelled
         else:
             if not first and not self.stuck:
                 self._learn_noise(reading.value_m - predicted_m, self.last_value_m - self.last_prediction_m)
-            self.same_in_row, self.travel_in_row_m = 0, 0.0
+            self.same_in_row = 0
         self.last_value_m, self.last_prediction_m = reading.value_m, predicted_m
-        self.stuck = self.same_in_row + 1 >= STUCK_READINGS and self.travel_in_row_m >= STUCK_TRAVEL_M
+        travelled = self.same_in_row > 0 and abs(predicted_m - self.row_began_m) >= STUCK_TRAVEL_M
+        self.stuck = travelled and self.same_in_row + 1 >= STUCK_READINGS
         return Reading(reading.t_ns, reading.value_m, usable=not self.stuck, variance_m2=self.noise_m2)
 
     def gated(self, accepted: bool) -> None:

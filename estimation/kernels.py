@@ -37,9 +37,7 @@ class Shape:
 
     def members(self, t_s: Array, dt_s: float) -> Array:
         """Block-mean accelerations (members, len(t_s)) of unit velocity steps at time zero."""
-        grid = product(
-            *(np.linspace(low, high, 4) for low, high in (self.frequency_hz, self.damping, self.ramp_s))
-        )
+        grid = product(*(np.linspace(low, high, 4) for low, high in (self.frequency_hz, self.damping, self.ramp_s)))
         return np.array(
             [
                 np.diff([_velocity(edge, f, z, ramp) for edge in (t_s - dt_s, t_s)], axis=0)[0] / dt_s

@@ -24,9 +24,7 @@ class Mount:
             y[2] * z[0] - y[0] * z[2],
             y[0] * z[1] - y[1] * z[0],
         )  # right-handed: x = y cross z
-        self._picks = tuple(
-            (index, component) for row in (x, y, z) for index, component in enumerate(row) if component
-        )
+        self._picks = tuple((index, component) for row in (x, y, z) for index, component in enumerate(row) if component)
 
     def to_support(self, v: Vector) -> Vector:
         """A sensor vector in support axes."""

@@ -39,6 +39,7 @@ from estimation.steps import Block, StepBank
 from estimation.supervision import Supervisor
 from estimation.track import Step, Track
 
+NOMINAL_RATE_HZ = 819.2
 LAG_S = 4.0  # the settled tier runs so far behind; every decision is taken within it
 WARM_UP_S = 3.0  # gyro bias and level must be known before a burst can be told from them
 SILENT_IMU_S = 0.25
@@ -46,7 +47,7 @@ SENSOR_CHANCE_S = 2.0
 UPSET_LOOK_BACK_S = 0.5  # an unexplained motion began before it was too large to explain
 KNOWN_START_SIGMA_M = 0.0005
 FORBIDDEN_M, FORBIDDEN_SIGMA_M = 0.015, 0.03  # from an end of the stroke, and how well that must be known
-PERIOD_STEPS = 1.02  # kernels are built for step periods on this geometric grid
+PERIOD_STEPS = 1.1  # kernels fit step periods within 5 %; they are built on this geometric grid
 
 
 @dataclass(slots=True, frozen=True)
@@ -129,6 +130,11 @@ class Pipeline:
         sensor = DisplacementSensor((self._settings.can_noise_mm / 1e3) ** 2, stroke_m)
         self.state = PipelineState(settled=track, head=track.copy(), sensor=sensor, waiting_start=waiting)
 
+    @staticmethod
+    def prepare() -> None:
+        """Do beforehand what would delay the first seconds of a live source."""
+        StepBank(SAMPLES_PER_STEP / NOMINAL_RATE_HZ).prepare()
+
     # --- snapshot ---------------------------------------------------------------------------------------------
 
     def snapshot(self) -> bytes:
@@ -177,9 +183,7 @@ class Pipeline:
         if s.first_ns is None:
             s.first_ns = s.last_ns = reading.t_ns
         self._pass_time(reading.t_ns, out)
-        predicted_m, _ = s.head.filter.displacement_prediction(
-            (s.last_ns - reading.t_ns) * 1e-9 + self._latency_s
-        )
+        predicted_m, _ = s.head.filter.displacement_prediction((s.last_ns - reading.t_ns) * 1e-9 + self._latency_s)
         was_stuck = s.sensor.stuck
         judged = s.sensor.judge(reading, predicted_m)
         s.pending.append(judged)
@@ -335,9 +339,7 @@ class Pipeline:
         s = self.state
         free = s.belief.open_free
         if free is not None:
-            if not step.blind and s.supervisor.calm(
-                step.t_ns, free.from_ns, self._sensor_speed() is not None
-            ):
+            if not step.blind and s.supervisor.calm(step.t_ns, free.from_ns, self._sensor_speed() is not None):
                 s.belief.end_free(step.t_ns)
                 s.recogniser.rest(step.t_ns)
                 out.append(Event(step.t_ns, "at rest again after an unexplained motion"))
@@ -376,27 +378,18 @@ class Pipeline:
         motion = s.belief.last_motion
         stop_ns = None if motion is None else motion.stop_ns
         unsettled_ns = step.t_ns - round(LAG_S * 1e9)
-        if (
-            motion is not None
-            and stop_ns is not None
-            and stop_ns > unsettled_ns
-            and speed * motion.direction > 0
-        ):
+        if motion is not None and stop_ns is not None and stop_ns > unsettled_ns and speed * motion.direction > 0:
             going_on = Motion(motion.direction, motion.onset_ns, motion.slow, confirmed=True)
             s.belief.replace_last(going_on)
             s.recogniser.reopen(going_on, step.t_ns)
             s.moves -= 1  # its summary will come again, under the same number
             self._run_head_again()
-            out.append(
-                Event(step.t_ns, "the displacement sensor still moves: the stop was none, move re-opened")
-            )
+            out.append(Event(step.t_ns, "the displacement sensor still moves: the stop was none, move re-opened"))
             return
         self._go_free(step.t_ns - round(2e9))
         out.append(Event(step.t_ns, "the displacement sensor moves although no start was felt: following it"))
 
-    def _stop_where_sensor_stands(
-        self, step: Step, motion: Motion, expected_m_s: float, out: list[Output]
-    ) -> None:
+    def _stop_where_sensor_stands(self, step: Step, motion: Motion, expected_m_s: float, out: list[Output]) -> None:
         """No stop was felt, but the sensor stands: the ram stopped where its path met the reading."""
         s = self.state
         predicted_m, _ = s.head.filter.displacement_prediction(0.0)
@@ -470,5 +463,5 @@ def _direction_word(motion: Motion | None) -> str:
 
 def _on_grid(period_s: float) -> float:
     """The nearest step period on a geometric grid through the nominal one, so that kernels are seldom rebuilt."""
-    nominal = SAMPLES_PER_STEP / 819.2
+    nominal = SAMPLES_PER_STEP / NOMINAL_RATE_HZ
     return float(nominal * PERIOD_STEPS ** round(log(period_s / nominal) / log(PERIOD_STEPS)))

@@ -35,7 +35,7 @@ CONFIRM_STOP_AFTER_S = 1.3
 SEARCH_S = 0.3  # the refined time lies this close to the proposed one
 STOP_NOT_BEFORE_S = 0.6  # after the onset: the burst rings until then
 STOP_NOT_BEFORE_SLOW_S = 1.3
-STOP_KERNEL_BIAS_S = 0.05
+STOP_KERNEL_BIAS_S = 0.06  # its largest answer comes so much before the start of deceleration
 QUIET_AFTER_STOP_S = 0.6  # a stop rings too ...
 SLOW_QUIET_AFTER_STOP_S = 1.5  # ... and the wide kernel hears it longer
 RECENT_S = 3.0  # kernels look back less far so soon after an event
@@ -218,11 +218,7 @@ class SegmentRecogniser:
         speed = context.speed(motion.direction)
         step = self._largest(bank, CONFIRM_STOP, motion.stop_ns, SEARCH_S, sign=-motion.direction)
         x = 0.0 if step is None else abs(step.x)
-        if (
-            step is None
-            or x < 0.62 * speed
-            or (x < 0.78 * speed and not _slowed(bank, step.t_ns, motion, speed))
-        ):
+        if step is None or x < 0.62 * speed or (x < 0.78 * speed and not _slowed(bank, step.t_ns, motion, speed)):
             self.motion = replace(motion, stop_ns=None)
             self.ignore_before_ns = motion.stop_ns + round(SEARCH_S * 1e9)
             return Decision.STOP_DISCARDED

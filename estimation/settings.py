@@ -19,7 +19,7 @@ class MountSettings(Settings):
     """Which way the inertial sensor's axes look, and on which part of the support it sits."""
 
     push: SignedAxis = Field("+y", description="sensor axis that points in the direction of the push")
-    up: SignedAxis = Field("+z", description="sensor axis that points up")
+    up: SignedAxis = Field("+z", description="sensor axis that points up, another one than `push`")
     imu_on: Literal["both", "link", "base"] = Field(
         "both",
         description="what carries the sensor: `link` feels only the push, `base` only the advance, "
@@ -36,18 +36,14 @@ class MountSettings(Settings):
 class SupportSettings(Settings):
     """The hydraulic powered roof support."""
 
-    stroke_mm: float = Field(
-        500.0, ge=50, le=2000, description="full stroke between the mechanical stops [mm]"
-    )
+    stroke_mm: float = Field(500.0, ge=50, le=2000, description="full stroke between the mechanical stops [mm]")
     nominal_push_speed_mm_s: float = Field(14.53, ge=2, le=200, description="usual speed of a push [mm/s]")
-    nominal_retract_speed_mm_s: float = Field(
-        35.19, ge=2, le=200, description="usual speed of a retract [mm/s]"
-    )
+    nominal_retract_speed_mm_s: float = Field(35.19, ge=2, le=200, description="usual speed of a retract [mm/s]")
     initial_mm: float | None = Field(
         None,
         ge=0,
-        description="stroke at the start of an imported recording [mm] (0 if not given); `run` takes it from "
-        "the controller, else from the saved state, else calls it undetermined",
+        description="stroke at the start of an imported recording [mm], at most stroke_mm; 0 if not given; "
+        "`run` takes it from the controller, else from the saved state, else calls it undetermined",
     )
 
     @model_validator(mode="after")
@@ -78,11 +74,9 @@ class EstimatorSettings(Settings):
         le=50,
         description="noise of the observed displacement at the start [mm]; learned from the data",
     )
-    can_offset_sigma_mm: float = Field(
-        1.5, gt=0, le=100, description="offset of the observed displacement [mm]"
-    )
+    can_offset_sigma_mm: float = Field(1.5, gt=0, le=100, description="offset of the observed displacement [mm]")
     can_scale_sigma: float = Field(
-        0.018, gt=0, le=0.5, description="scale error of the observed displacement, as a share"
+        0.02, gt=0, le=0.5, description="scale error of the observed displacement, as a share"
     )
     can_curvature_sigma_mm: float = Field(
         1.2, gt=0, le=50, description="bow of the observed displacement at half stroke [mm]"

@@ -62,9 +62,7 @@ class StepBank:
 
     dt_s: float
     push_m_s2: Array = field(default_factory=lambda: np.zeros(0))  # along the push, newest last
-    tilt_rate_rad_s: Array = field(
-        default_factory=lambda: np.zeros(0)
-    )  # about x: what turns gravity into push
+    tilt_rate_rad_s: Array = field(default_factory=lambda: np.zeros(0))  # about x: what turns gravity into push
     levelled_m_s2: Array = field(default_factory=lambda: np.zeros(0))  # gravity taken out, relative to now
     blocks: int = 0
     x: Array = field(default_factory=lambda: np.zeros((0, len(SPECS))))  # newest last
@@ -94,6 +92,10 @@ class StepBank:
     def depth(self) -> int:
         """Blocks of history."""
         return round(HISTORY_S / self.dt_s)
+
+    def prepare(self) -> None:
+        """Compute the kernels now rather than at the first block: that takes a good part of a second."""
+        _ = self._long, self._short
 
     @property
     def _long(self) -> KernelBank:
@@ -163,9 +165,9 @@ class StepBank:
         w = self.push_m_s2
         second = float(w[-1] - 2 * w[-2] + w[-3])
         white = SECOND_DIFFERENCE_WHITE * ACCEL_NOISE**2 / self.dt_s
-        square = max(second * second - white, -white)
-        self.vibration_slow += self.dt_s / VIBRATION_TIME_S * (square - self.vibration_slow)
-        self.vibration_fast += self.dt_s / VIBRATION_FAST_TIME_S * (square - self.vibration_fast)
+        square = second * second - white
+        self.vibration_slow += min(self.dt_s / VIBRATION_TIME_S, 1.0) * (square - self.vibration_slow)
+        self.vibration_fast += min(self.dt_s / VIBRATION_FAST_TIME_S, 1.0) * (square - self.vibration_fast)
         self.vibration.append((max(self.vibration_slow, 0.0) / SECOND_DIFFERENCE_GAIN) ** 0.5)
 
     def _level(self, post: int) -> int:

@@ -118,9 +118,7 @@ class Track:
         """Flow of a direction."""
         return self.push if direction > 0 else self.retract
 
-    def advance(
-        self, step: Step, belief: Belief, settings: EstimatorSettings, latency_s: float
-    ) -> list[bool]:
+    def advance(self, step: Step, belief: Belief, settings: EstimatorSettings, latency_s: float) -> list[bool]:
         """Go one step on. Returns, for each usable reading of the step, whether it lay within the gate."""
         phase, motion = belief.phase_at(step.t_ns)
         if phase is not self.phase:
@@ -221,9 +219,7 @@ class Track:
             flow = self.flow(self.direction)
             cycle = settings.speed_sigma_cycle * flow.speed
             flow.learn(abs(state.x[SPEED]), state.p[SPEED][SPEED] + cycle**2)
-        self.ending = Ending(
-            self.start_m, before_m, sigma_before_m, state.x[P], state.sigma(P), state.x[SPEED]
-        )
+        self.ending = Ending(self.start_m, before_m, sigma_before_m, state.x[P], state.sigma(P), state.x[SPEED])
 
     def _stop_reached(self, p_m: float, sigma_m: float) -> float | None:
         """The mechanical stop that the move ended at, if there is evidence for it.

@@ -1,6 +1,6 @@
 """Causal coiflet de-noising for display and control chart: the level-2 approximation, details d1 and d2 gone.
 
-The à-trous (stationary) transform's smooth part of the last 16 samples: 9 ms late at 819.2 Hz. De-trending (dropping
+The à-trous (stationary) transform's smooth part of the last 16 samples: 11 ms late at 819.2 Hz. De-trending (dropping
 the deepest approximation, paper C, eq. (1)-(3)) is left to the batch methods: it removes the burst itself.
 """
 

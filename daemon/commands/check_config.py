@@ -5,9 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-HELP = (
-    "Check a configuration file, its DBC files included; each fault is one sentence with file, line and key."
-)
+HELP = "Check a configuration file, its DBC files included; each fault is one sentence with file, line and key."
 EXAMPLE = "ramstroke check-config /etc/ramstroke/ramstroke.toml"
 
 

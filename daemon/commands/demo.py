@@ -16,9 +16,7 @@ EXAMPLE = "ramstroke demo --seed 7 --out /tmp/demo"
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.add_argument("--seed", type=int, default=1, help="which virtual support (default 1)")
-    parser.add_argument(
-        "--out", type=Path, default=Path("demo"), help="folder for the results (default demo)"
-    )
+    parser.add_argument("--out", type=Path, default=Path("demo"), help="folder for the results (default demo)")
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
 
 

@@ -18,9 +18,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--config", type=Path, help="settings to use instead of the file's own")
     parser.add_argument("-o", "--output", type=Path, help="write inputs and new estimates to this recording")
     parser.add_argument("--csv", type=Path, help="write one row per step to this table")
-    parser.add_argument(
-        "--provisional", action="store_true", help="in the table: provisional values, not settled ones"
-    )
+    parser.add_argument("--provisional", action="store_true", help="in the table: provisional values, not settled ones")
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
 
 

@@ -9,7 +9,9 @@ HELP = (
     "A virtual support in real time for another process: the virtual ADIS16448 on the Unix socket "
     "imu.socket_path, the virtual controller on the CAN interface, both from one motion."
 )
-EXAMPLE = "ramstroke sim --config config/trial.toml   # and in another terminal: ramstroke run --config config/trial.toml"
+EXAMPLE = (
+    "ramstroke sim --config config/trial.toml   # and in another terminal: ramstroke run --config config/trial.toml"
+)
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -28,9 +30,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     settings = load(arguments.config)
     if settings.imu.transport != "socket":
-        raise CommandError(
-            f'{arguments.config}: sim serves imu.transport = "socket", not "{settings.imu.transport}"'
-        )
+        raise CommandError(f'{arguments.config}: sim serves imu.transport = "socket", not "{settings.imu.transport}"')
     configure_logging(verbose=False)
     asyncio.run(simulate(settings))
     return 0

@@ -11,9 +11,7 @@ EXAMPLE = "ramstroke status --json"
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
-    parser.add_argument(
-        "--config", type=Path, help="the daemon's configuration (for the place of its socket)"
-    )
+    parser.add_argument("--config", type=Path, help="the daemon's configuration (for the place of its socket)")
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
 
 

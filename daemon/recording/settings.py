@@ -19,13 +19,13 @@ class RecorderSettings(BaseModel):
     directory: Path = Field(
         default=Path("/var/lib/ramstroke/recordings"), description="folder of the recordings, made if missing"
     )
-    enabled: bool = Field(default=True, description="record at all")
+    enabled: bool = Field(default=True, description="record at all; false keeps nothing")
     rotate_mb: _Megabytes = Field(default=256, description="begin a new file at this size [MB]")
     rotate_minutes: Annotated[float, Field(gt=0, le=10_080)] = Field(
         default=60, description="begin a new file after this time [min]"
     )
     budget_mb: _Megabytes = Field(
-        default=4096, description="delete the oldest recordings beyond this total size [MB]"
+        default=4096, description="delete the oldest recordings beyond this total [MB], at least rotate_mb"
     )
     keep_free_mb: Annotated[float, Field(ge=0, le=10_000_000)] = Field(
         default=200, description="leave at least this much of the disk free [MB]"

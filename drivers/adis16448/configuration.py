@@ -33,27 +33,28 @@ class ImuSettings(BaseModel):
         Literal["spidev", "socket", "virtual"],
         Field(description="the kernel's SPI port, the socket of `ramstroke sim`, or the virtual part"),
     ] = "spidev"
-    spi_device: Annotated[str, Field(description="SPI port")] = "/dev/spidev0.0"
-    socket_path: Annotated[str, Field(description="socket of `ramstroke sim`")] = (
-        "/run/ramstroke-sim/imu.sock"
-    )
+    spi_device: Annotated[str, Field(description="SPI port of the sensor")] = "/dev/spidev0.0"
+    socket_path: Annotated[str, Field(description="Unix socket of `ramstroke sim`")] = "/run/ramstroke-sim/imu.sock"
     data_ready_chip: Annotated[str, Field(description="GPIO chip of the data-ready line")] = "/dev/gpiochip0"
     data_ready_line: Annotated[
-        int | None, Field(ge=0, description="line on that chip; without one, reads are paced")
+        int | None, Field(ge=0, description="its number on that chip; without one, reads are paced")
     ] = None
     data_ready_pin: Annotated[Literal[1, 2], Field(description="DIO pin of the part wired to that line")] = 1
-    data_ready_active_high: Annotated[bool, Field(description="level of the line while data are valid")] = (
-        True
-    )
+    data_ready_active_high: Annotated[bool, Field(description="line high while data are valid")] = True
     gyro_range_dps: Annotated[Literal[250, 500, 1000], Field(description="gyro range [deg/s]")] = 500
     filter_taps_exponent: Annotated[
-        int, Field(ge=0, le=7, description="B: two averages of 2^B samples in cascade")
+        int,
+        Field(
+            ge=0,
+            le=7,
+            description="B: two averages of 2^B samples in cascade; 500 deg/s needs 2, 250 needs 4",
+        ),
     ] = 2
     decimation_exponent: Annotated[
         int, Field(ge=0, le=5, description="D: output averaged and thinned by 2^D, 819.2 to 25.6 samples/s")
     ] = 0
     burst_crc: Annotated[
-        Literal["auto", "on", "off"], Field(description="checksum of bursts; older parts have none")
+        Literal["auto", "on", "off"], Field(description="checksum of bursts; auto: if the part has one")
     ] = "auto"
     block_samples: Annotated[int, Field(ge=1, le=64, description="samples handed over at a time")] = 8
 

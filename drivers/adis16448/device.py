@@ -145,9 +145,7 @@ class Adis16448:
         limit_ns = self._clock.now_ns() + round(_SELF_TEST_LIMIT_S * 1e9)
         while self.read_register("MSC_CTRL") & MSC_SELF_TEST:
             if self._clock.now_ns() > limit_ns:
-                raise ImuError(
-                    f"the self-test did not end within {_SELF_TEST_LIMIT_S:g} s: replace the sensor"
-                )
+                raise ImuError(f"the self-test did not end within {_SELF_TEST_LIMIT_S:g} s: replace the sensor")
             self._clock.sleep(_POLL_S)
         # Once only: this read clears the answer.
         status = self.read_register("DIAG_STAT")
@@ -173,13 +171,9 @@ class Adis16448:
         if self._probe_crc():
             self._use_crc(True)
         elif self.settings.burst_crc == "on":
-            raise ImuError(
-                'the part sends no valid burst checksum (old silicon or a bad wire): set burst_crc = "auto"'
-            )
+            raise ImuError('the part sends no valid burst checksum (old silicon or a bad wire): set burst_crc = "auto"')
         else:
-            self._write_byte(
-                REGISTERS["MSC_CTRL"].address, self._read_settled("MSC_CTRL") & 0xFF & ~MSC_BURST_CRC
-            )
+            self._write_byte(REGISTERS["MSC_CTRL"].address, self._read_settled("MSC_CTRL") & 0xFF & ~MSC_BURST_CRC)
             self.notes.append("the part sends no burst checksum (old silicon): torn bursts cannot be seen")
 
     def read_burst(self, edge: Edge) -> Burst:

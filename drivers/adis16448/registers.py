@@ -99,9 +99,7 @@ class Register:
     meaning: str
 
 
-def _axes(
-    names: str, first: int, access: Access, form: Form, lsb: float, unit: str, meaning: str
-) -> list[Register]:
+def _axes(names: str, first: int, access: Access, form: Form, lsb: float, unit: str, meaning: str) -> list[Register]:
     writable = access == "RW"
     return [
         Register(
@@ -133,9 +131,7 @@ _TABLE = [
     *_axes("?MAGN_HIC", 0x26, "RW", "signed", MAGN_LSB, "T", "hard-iron correction"),
     *_axes("?MAGN_SIC", 0x2C, "RW", "signed", 1 / 32767, "", "soft-iron correction"),
     Register("GPIO_CTRL", 0x32, "RW", False, 0x0000, "bits", None, "", "levels and directions of DIO1..DIO4"),
-    Register(
-        "MSC_CTRL", 0x34, "RW", True, 0x0006, "bits", None, "", "tests, burst checksum, data-ready line"
-    ),
+    Register("MSC_CTRL", 0x34, "RW", True, 0x0006, "bits", None, "", "tests, burst checksum, data-ready line"),
     Register("SMPL_PRD", 0x36, "RW", True, 0x0001, "bits", None, "", "clock source and decimation"),
     Register("SENS_AVG", 0x38, "RW", True, 0x0402, "bits", None, "", "gyro range and filter taps"),
     Register("SEQ_CNT", 0x3A, "R", False, None, "unsigned", 1, "", "samples until new field and pressure"),

@@ -54,9 +54,7 @@ def find_signal(settings: DisplacementSettings) -> DisplacementSignal:
         message=message,
         signal=signal,
         units_per_metre=_units_per_metre(settings, signal),
-        valid_signal=(
-            None if layout.valid_signal is None else _signal(message, layout.valid_signal, "valid_signal")
-        ),
+        valid_signal=(None if layout.valid_signal is None else _signal(message, layout.valid_signal, "valid_signal")),
         valid_value=layout.valid_value,
         may_be_longer=layout.may_be_longer,
         node_id=node_id,
@@ -69,9 +67,7 @@ def _layout(settings: DisplacementSettings) -> Preset:
         assert settings.dbc is not None
         assert settings.message is not None
         assert settings.signal is not None
-        return Preset(
-            settings.dbc, settings.message, settings.signal, settings.valid_signal, _valid_value(settings)
-        )
+        return Preset(settings.dbc, settings.message, settings.signal, settings.valid_signal, _valid_value(settings))
     preset = PRESETS[settings.preset]
     message = settings.message or preset.message
     valid_signal, valid_value = settings.valid_signal, _valid_value(settings)

@@ -109,7 +109,6 @@ def build_decoders(settings: CanSettings) -> tuple[DisplacementDecoder, Displace
     taken = {*observed.arbitration_ids, *(reference.arbitration_ids if reference else ())}
     if settings.publish.enabled and published in taken:
         raise CanConfigError(
-            f"`publish.arbitration_id` {published} is the identifier of a frame that is read: "
-            "choose a free one."
+            f"`publish.arbitration_id` {published} is the identifier of a frame that is read: choose a free one."
         )
     return observed, reference

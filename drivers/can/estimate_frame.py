@@ -59,9 +59,7 @@ class EstimateEncoder:
     def encode(self, estimate: Estimate) -> Frame:
         """The next frame; values beyond a field saturate, NaN becomes the field's undetermined code."""
         sigma_segment_tier = (
-            _sigma(estimate.sigma_m)
-            | _SEGMENTS.index(estimate.segment) << 12
-            | _TIERS.index(estimate.tier) << 14
+            _sigma(estimate.sigma_m) | _SEGMENTS.index(estimate.segment) << 12 | _TIERS.index(estimate.tier) << 14
         )
         body = _LAYOUT.pack(
             _signed(estimate.displacement_m),

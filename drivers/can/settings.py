@@ -35,13 +35,9 @@ class DisplacementSettings(_Settings):
         default="support_controller",
         description="Ready-made frame layout; not together with `dbc`.",
     )
-    dbc: Path | None = Field(
-        default=None, description="Own DBC file that describes the frame, instead of a preset."
-    )
+    dbc: Path | None = Field(default=None, description="Own DBC file that describes the frame, instead of a preset.")
     message: str | None = Field(default=None, description="Message of the DBC file; with a preset: its own.")
-    signal: str | None = Field(
-        default=None, description="Displacement signal of the message; with a preset: its own."
-    )
+    signal: str | None = Field(default=None, description="Displacement signal of the message; with a preset: its own.")
     unit: Unit | None = Field(
         default=None,
         description="Unit of the signal; needed only when the DBC file does not state mm, cm, m or um.",
@@ -61,13 +57,13 @@ class DisplacementSettings(_Settings):
         default=-50.0,
         ge=-1e6,
         le=1e6,
-        description="Smallest believable value [mm]; one below counts as out of range.",
+        description="Smallest believable value [mm], below maximum_mm; one below it counts as out of range.",
     )
     maximum_mm: float = Field(
         default=1000.0,
         ge=-1e6,
         le=1e6,
-        description="Largest believable value [mm]; one above counts as out of range.",
+        description="Largest believable value [mm]; one above it counts as out of range.",
     )
     valid_signal: str | None = Field(
         default=None, description="Signal of the same message that tells whether the displacement is valid."
@@ -100,9 +96,7 @@ class DisplacementSettings(_Settings):
         if self.preset is not None and self.dbc is not None:
             raise ValueError("`preset` and `dbc` exclude each other: delete one of them")
         if self.preset is None and None in (self.dbc, self.message, self.signal):
-            raise ValueError(
-                "without a preset `dbc`, `message` and `signal` are needed: add the missing ones"
-            )
+            raise ValueError("without a preset `dbc`, `message` and `signal` are needed: add the missing ones")
         if self.node_id is not None and self.preset != "cia406":
             raise ValueError('`node_id` belongs to CANopen: delete it or set preset = "cia406"')
         if self.valid_value is not None and self.valid_signal is None:
@@ -117,12 +111,11 @@ class PublishSettings(_Settings):
 
     enabled: bool = Field(default=False, description="Send the estimate; needs `listen_only = false`.")
     arbitration_id: ArbitrationId = Field(
-        default=0x6F0, description="Identifier of the estimate frame; must be free on the bus."
+        default=0x6F0,
+        description="Identifier of the estimate frame; must be free on the bus; up to 0x7FF unless extended.",
     )
     extended: bool = Field(default=False, description="Use a 29-bit identifier.")
-    period_ms: float = Field(
-        default=100.0, ge=10, le=10_000, description="Time between two estimate frames [ms]."
-    )
+    period_ms: float = Field(default=100.0, ge=10, le=10_000, description="Time between two estimate frames [ms].")
 
     @model_validator(mode="after")
     def _identifier_fits_its_width(self) -> PublishSettings:
@@ -148,16 +141,14 @@ class CanSettings(_Settings):
         description="Network interface; for udp_multicast a multicast address such as 239.74.163.2.",
     )
     port: int = Field(default=43113, ge=1, le=65535, description="UDP port, udp_multicast only.")
-    listen_only: bool = Field(default=True, description="Never send a frame.")
+    listen_only: bool = Field(default=True, description="Never send a frame, whatever else is set.")
     displacement: DisplacementSettings = Field(
         default_factory=DisplacementSettings, description="The controller's displacement, used to estimate."
     )
     reference: DisplacementSettings | None = Field(
         default=None, description="A laboratory sensor, recorded and compared with, never used to estimate."
     )
-    publish: PublishSettings = Field(
-        default_factory=PublishSettings, description="Our estimate as a CAN frame."
-    )
+    publish: PublishSettings = Field(default_factory=PublishSettings, description="Our estimate as a CAN frame.")
 
     @model_validator(mode="after")
     def _options_fit_together(self) -> CanSettings:
@@ -167,8 +158,7 @@ class CanSettings(_Settings):
             )
         if self.interface == "udp_multicast" and not _is_multicast(self.channel):
             raise ValueError(
-                f'`channel` "{self.channel}" is no multicast address: udp_multicast needs one, '
-                "such as 239.74.163.2"
+                f'`channel` "{self.channel}" is no multicast address: udp_multicast needs one, such as 239.74.163.2'
             )
         return self
 

@@ -30,9 +30,7 @@ class Updates:
     Updates already computed are computed again when the settings change.
     """
 
-    def __init__(
-        self, inertial_input: InertialInput, errors: SensorErrors | None, settings: SignalSettings
-    ) -> None:
+    def __init__(self, inertial_input: InertialInput, errors: SensorErrors | None, settings: SignalSettings) -> None:
         self.frame = bytes(FRAME_BYTES)  # present XGYRO_OUT..TEMP_OUT
         self.checksum = b"\xa4\xe5"  # and their CRC
         self.number = 0  # of the internal sample that completed them
@@ -137,9 +135,7 @@ class Updates:
         rows = rows + first
         happens = (self._block_t[rows] >= self._paused_until_ns) & settings.has_clock
         rows, values = rows[happens], values[happens]
-        outputs = quantise(
-            values, settings.gyro_range_dps, settings.decimation_exponent, np.array(settings.offsets)
-        )
+        outputs = quantise(values, settings.gyro_range_dps, settings.decimation_exponent, np.array(settings.offsets))
         self._times = self._block_t[rows].tolist()
         self._numbers = (self._block_first + rows).tolist()
         self._frames, self._checksums = outputs.frames, outputs.checksums

@@ -76,9 +76,7 @@ class ObservedDisplacement:
         """What a noiseless sensor of this geometry shows at the true `displacement_m`, any shape."""
         distance = _oblique_distance(self.parameters.short_at_full_stroke_m)
         shown: FloatArray = (
-            np.hypot(displacement_m + _LEVER_M, distance)
-            - math.hypot(_LEVER_M, distance)
-            + self.parameters.offset_m
+            np.hypot(displacement_m + _LEVER_M, distance) - math.hypot(_LEVER_M, distance) + self.parameters.offset_m
         )
         return shown
 
@@ -118,9 +116,7 @@ class ObservedDisplacement:
         return silent
 
 
-def exact_observations(
-    t_s: FloatArray, displacement_m: FloatArray, rate_hz: float = 50.0
-) -> list[Observation]:
+def exact_observations(t_s: FloatArray, displacement_m: FloatArray, rate_hz: float = 50.0) -> list[Observation]:
     """Readings of a laboratory sensor: exact to 0.01 mm, without delay, from the first time on.
 
     Args:

@@ -53,9 +53,7 @@ class RecordedInput:
         self._t_ns: Times = t if start_ns is None or t.size == 0 else t - t[0] + start_ns
         self._gyro: Floats = np.asarray(gyro, dtype=np.float64)
         self._accel: Floats = np.asarray(accel, dtype=np.float64)
-        self._temperature_c: Floats = np.broadcast_to(
-            np.asarray(temperature_c, dtype=np.float64), self._t_ns.shape
-        )
+        self._temperature_c: Floats = np.broadcast_to(np.asarray(temperature_c, dtype=np.float64), self._t_ns.shape)
         if self._gyro.shape != (t.size, 3) or self._accel.shape != (t.size, 3):
             raise ValueError(
                 f"a recording of {t.size} samples needs gyro and accel of shape ({t.size}, 3), "

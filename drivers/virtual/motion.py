@@ -189,9 +189,7 @@ class Machine:
         moves = tuple(move.truth for move in played)
         self.position_m = position
 
-        pitch, roll = self._tilt(
-            t_s, moving > 0.5, [t for move in moves for t in (move.onset_s, move.stop_s)]
-        )
+        pitch, roll = self._tilt(t_s, moving > 0.5, [t for move in moves for t in (move.onset_s, move.stop_s)])
         vibration = self._vibration(t_s, moving)
         inertial = np.column_stack([np.zeros_like(accel), accel, np.zeros_like(accel)]) + vibration
         return Trajectory(
@@ -204,9 +202,7 @@ class Machine:
             moves=moves,
         )
 
-    def _play(
-        self, planned: PlannedMove, onset_s: float, position_m: float, ripple: FloatArray
-    ) -> _PlayedMove:
+    def _play(self, planned: PlannedMove, onset_s: float, position_m: float, ripple: FloatArray) -> _PlayedMove:
         """Draw one move and find the start of deceleration that ends it at its target."""
         speed = np.copysign(planned.speed_m_s, planned.target_m - position_m) * self.speed_factor
         speed *= self.rng.normal(1.0, self.scenario.speed_sigma_cycle)
@@ -237,9 +233,7 @@ class Machine:
         band = _band_noise(self.rng, len(t_s), 3, self.scenario.vibration_band_hz)
         return np.asarray(band * level[:, None] * np.array([0.7, 1.0, 0.9]))
 
-    def _tilt(
-        self, t_s: FloatArray, moving: NDArray[np.bool_], changes: list[float]
-    ) -> tuple[FloatArray, FloatArray]:
+    def _tilt(self, t_s: FloatArray, moving: NDArray[np.bool_], changes: list[float]) -> tuple[FloatArray, FloatArray]:
         """Pitch and roll [rad]: wander while moving, a small step at each start and stop, fast flutter."""
         angles = []
         flutter = _band_noise(self.rng, len(t_s), 2, (5.0, 40.0)) * np.radians(0.003)

@@ -194,9 +194,7 @@ class SocketTransport:
             return _receive(self._connection)
         except (OSError, EOFError) as error:
             self.close()  # a late answer must not be taken for that of the next frame
-            raise SpiError(
-                f"the virtual sensor at {self._path} is gone: start `ramstroke sim` again"
-            ) from error
+            raise SpiError(f"the virtual sensor at {self._path} is gone: start `ramstroke sim` again") from error
 
     def close(self) -> None:
         """Hang up."""
@@ -228,9 +226,7 @@ class SocketDataReady:
                 if whole:
                     break
         except (OSError, EOFError) as error:
-            raise DataReadyError(
-                f"the virtual sensor at {self._path} is gone: start `ramstroke sim` again"
-            ) from error
+            raise DataReadyError(f"the virtual sensor at {self._path} is gone: start `ramstroke sim` again") from error
         edges = [_EDGE.unpack_from(self._buffer, i * message_size + _LENGTH.size) for i in range(whole)]
         self._buffer = self._buffer[whole * message_size :]
         return Edge(edges[-1][0], TimeKind.EDGE, whole - 1 + sum(missed for _, missed in edges))

@@ -1,0 +1,39 @@
+# make demo    one cycle of the virtual support, measured; results in demo/
+# make test    all tests, with branch coverage
+# make check   ruff and mypy
+# make bench   speed and accuracy figures; nothing is asserted
+# make docs    generate the configuration reference
+PYTHON ?= python3.11
+VENV := .venv
+BIN := $(VENV)/bin
+INSTALLED := $(VENV)/installed
+
+.PHONY: demo test check bench docs rebase clean
+
+demo: $(INSTALLED)
+	$(BIN)/ramstroke demo --out demo
+
+test: $(INSTALLED)
+	$(BIN)/python -m pytest --cov --cov-report=term:skip-covered
+
+check: $(INSTALLED)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+bench: $(INSTALLED)
+	$(BIN)/python -m tests.bench
+
+docs: $(INSTALLED)
+	$(BIN)/python -m daemon.configuration_reference > docs/configuration.md
+
+rebase: $(INSTALLED)
+	$(BIN)/python -m pytest tests/acceptance/test_regression.py --rebase
+
+clean:
+	rm -rf $(VENV) demo dist build .coverage .mypy_cache .ruff_cache .pytest_cache .hypothesis
+
+$(INSTALLED): pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[dev]"
+	touch $@

@@ -1,0 +1,116 @@
+"""`ramstroke review`."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from daemon.reviewing import Review
+
+HELP = (
+    "Sum up a recording: contents, gaps, faults, sensor health, moves, and the errors against the reference "
+    "sensor if there is one. The moves are estimated anew from what was received."
+)
+EXAMPLE = "ramstroke review /var/lib/ramstroke/recordings/ramstroke-20260105T063000Z.mcap"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
+    parser.add_argument("file", type=Path, help="the recording")
+    parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Review."""
+    from dataclasses import asdict
+
+    from daemon import terminal
+    from daemon.reviewing import review
+
+    with terminal.progress("messages") as progress:
+        reviewed = review(arguments.file, progress)
+    result = reviewed.replayed
+    if arguments.json:
+        terminal.print_json(
+            {
+                "file": str(arguments.file),
+                "complete": reviewed.complete,
+                "version": reviewed.metadata.get("version"),
+                "sensor": reviewed.metadata.get("sensor"),
+                "kind": reviewed.metadata.get("kind"),
+                "duration_s": result.duration_s,
+                "samples": result.samples,
+                "identical": result.identical,
+                "messages": dict(reviewed.messages),
+                "lost": reviewed.lost,
+                "damage": result.damage,
+                "faults": dict(reviewed.faults),
+                "gaps": [asdict(gap) for gap in reviewed.gaps],
+                "gaps_not_shown": reviewed.gaps_not_shown,
+                "segments": _shares(reviewed.segments),
+                "can_states": _shares(reviewed.can_states),
+                "events": [{"t_s": event.t_ns * 1e-9, "what": event.what} for event in reviewed.events],
+                "moves": [terminal.move_row(move) for move in result.moves],
+                "reference": None if reviewed.reference is None else asdict(reviewed.reference),
+                "health": reviewed.last_health,
+            }
+        )
+        return 0
+    _print(arguments.file, reviewed)
+    return 0
+
+
+def _shares(counts: Mapping[Any, int]) -> dict[str, float]:
+    total = sum(counts.values())
+    return {str(name): count / total for name, count in counts.items()}
+
+
+def _print(path: Path, reviewed: Review) -> None:
+    from daemon import terminal
+
+    def say(text: str) -> None:
+        terminal.OUT.print(text, highlight=False, markup=False)
+
+    result, metadata = reviewed.replayed, reviewed.metadata
+    state = "complete" if reviewed.complete else "cut short or still being written"
+    say(f"{path}: {metadata.get('kind', 'recording')}, {state}, ramstroke {metadata.get('version', '?')}")
+    if metadata.get("sensor"):
+        say(f"sensor: {metadata['sensor']}")
+    rate = result.samples / result.duration_s if result.duration_s else 0.0
+    say(
+        f"{result.duration_s:.1f} s, {result.samples} good samples ({rate:.1f} per second), {reviewed.lost} messages lost"
+    )
+    same = {True: "reproduced bit for bit", False: "NOT reproduced", None: "none"}[result.identical]
+    say(f"recorded estimates: {same}")
+    for sentence in result.damage:
+        say(f"damage: {sentence}")
+    contents = terminal.table("Contents", "topic", "messages")
+    for topic, count in reviewed.messages.items():
+        contents.add_row(topic, str(count))
+    terminal.OUT.print(contents)
+    for kind, count in reviewed.faults.items():
+        say(f"bad bursts: {count} × {kind}")
+    for gap in reviewed.gaps:
+        say(f"gap of {gap.length_s:.3f} s at {gap.at_s:.3f} s")
+    if reviewed.gaps_not_shown:
+        say(f"... and {reviewed.gaps_not_shown} gaps more")
+    for title, counts in (
+        ("time in segments", reviewed.segments),
+        ("displacement sensor", reviewed.can_states),
+    ):
+        shares = _shares(counts)
+        say(f"{title}: " + (", ".join(f"{name} {share:.1%}" for name, share in shares.items()) or "none"))
+    for event in reviewed.events:
+        say(f"{event.t_ns * 1e-9:12.3f} s  {event.what}")
+    terminal.print_moves(result.moves)
+    if reviewed.reference is not None:
+        errors = reviewed.reference
+        say(
+            f"against the reference ({errors.readings} readings): mean {errors.mean_mm:+.2f} mm, "
+            f"rms {errors.rms_mm:.2f} mm, worst {errors.worst_mm:+.2f} mm, {errors.inside_95:.1%} within the stated 95 %"
+        )
+    else:
+        say("no reference sensor in it")

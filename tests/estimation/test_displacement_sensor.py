@@ -1,0 +1,227 @@
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from estimation.displacement_sensor import BIASED_READINGS, STUCK_READINGS, DisplacementSensor, Reading
+from estimation.records import CanState, Displacement
+
+PERIOD_S = 0.07
+SPEED_M_S = 0.0145
+NOISE_M = 0.003
+
+
+class Feed:
+    """A sensor that is fed every 70 ms."""
+
+    def __init__(self, seed: int = 1) -> None:
+        self.sensor = DisplacementSensor(NOISE_M**2, stroke_m=0.5)
+        self.rng = np.random.default_rng(seed)
+        self.t_s = 0.0
+        self.p_m = 0.1
+
+    @property
+    def t_ns(self) -> int:
+        return round(self.t_s * 1e9)
+
+    @property
+    def state(self) -> CanState:
+        return self.sensor.state(self.t_ns)
+
+    def read(self, value_m: float, *, valid: bool = True, accepted: bool = True) -> Reading:
+        self.t_s += PERIOD_S
+        reading = self.sensor.judge(Displacement(self.t_ns, value_m, valid), self.p_m)
+        if reading.usable:
+            self.sensor.gated(accepted)
+        return reading
+
+    def run(self, n: int, *, speed_m_s: float = 0.0, error_m: float = 0.0, accepted: bool = True) -> None:
+        """Noisy readings of a ram at some speed."""
+        for _ in range(n):
+            self.p_m += speed_m_s * PERIOD_S
+            self.read(self.p_m + error_m + self.rng.normal(0.0, NOISE_M), accepted=accepted)
+
+
+def silent(feed: Feed) -> None:
+    feed.t_s += 1.5
+
+
+def late(feed: Feed) -> None:
+    feed.t_s += 0.3
+
+
+def invalid(feed: Feed) -> None:
+    feed.read(0.1, valid=False)
+
+
+def not_a_number(feed: Feed) -> None:
+    feed.read(math.nan)
+
+
+def too_far(feed: Feed) -> None:
+    feed.read(0.55)
+
+
+def too_near(feed: Feed) -> None:
+    feed.read(-0.05)
+
+
+def stuck(feed: Feed) -> None:
+    value_m = feed.p_m
+    for _ in range(STUCK_READINGS):
+        feed.p_m += SPEED_M_S * PERIOD_S
+        feed.read(value_m)
+
+
+def biased(feed: Feed) -> None:
+    feed.run(BIASED_READINGS, error_m=0.03, accepted=False)
+
+
+def nothing(feed: Feed) -> None: ...
+
+
+@pytest.mark.parametrize(
+    ("happens", "state"),
+    [
+        (nothing, CanState.OK),
+        (late, CanState.LATE),
+        (silent, CanState.SILENT),
+        (invalid, CanState.INVALID),
+        (not_a_number, CanState.INVALID),
+        (too_far, CanState.OUT_OF_RANGE),
+        (too_near, CanState.OUT_OF_RANGE),
+        (stuck, CanState.STUCK),
+        (biased, CanState.BIASED),
+    ],
+)
+def test_each_illness_is_told_and_healed_by_good_readings(
+    happens: Callable[[Feed], None], state: CanState
+) -> None:
+    feed = Feed()
+    feed.run(30, speed_m_s=SPEED_M_S)
+    assert feed.state is CanState.OK
+    happens(feed)
+    assert feed.state is state
+    feed.run(BIASED_READINGS, speed_m_s=SPEED_M_S)
+    assert feed.state is CanState.OK
+
+
+def test_without_a_single_reading_there_is_no_sensor() -> None:
+    assert DisplacementSensor(NOISE_M**2, stroke_m=0.5).state(10**12) is CanState.ABSENT
+
+
+@pytest.mark.parametrize(
+    ("value_m", "valid", "usable"),
+    [
+        (0.1, True, True),
+        (-0.039, True, True),
+        (0.539, True, True),
+        (-0.041, True, False),
+        (0.541, True, False),
+        (0.1, False, False),
+        (math.inf, True, False),
+        (math.nan, True, False),
+    ],
+)
+def test_a_reading_is_usable_if_valid_and_within_the_stroke_and_a_margin(
+    value_m: float, valid: bool, usable: bool
+) -> None:
+    sensor = DisplacementSensor(NOISE_M**2, stroke_m=0.5)
+    assert sensor.judge(Displacement(0, value_m, valid), 0.1).usable is usable
+
+
+def test_illness_of_the_value_goes_before_its_age_but_silence_before_all() -> None:
+    feed = Feed()
+    feed.run(30)
+    too_far(feed)
+    feed.t_s += 0.5
+    assert feed.state is CanState.OUT_OF_RANGE
+    feed.t_s += 1.0
+    assert feed.state is CanState.SILENT
+
+
+def test_a_slow_source_is_not_called_late_at_its_own_pace() -> None:
+    sensor = DisplacementSensor(NOISE_M**2, stroke_m=0.5)
+    for i in range(60):
+        sensor.judge(Displacement(i * 500_000_000, 0.1 + 0.001 * (i % 2)), 0.1)
+    assert sensor.state(59 * 500_000_000 + 490_000_000) is CanState.OK
+    assert sensor.state(59 * 500_000_000 + 1_600_000_000) is CanState.LATE
+
+
+def test_identical_readings_at_rest_are_what_a_quiet_sensor_gives() -> None:
+    feed = Feed()
+    for _ in range(500):
+        assert feed.read(0.1).usable
+    assert feed.state is CanState.OK
+
+
+def test_quiet_sensor_is_not_stuck_because_the_first_guess_was_far_off() -> None:
+    feed = Feed()
+    feed.p_m = 0.25  # stroke undetermined: the middle
+    feed.read(0.1)
+    feed.p_m = 0.1  # the estimate now knows
+    for _ in range(20):
+        assert feed.read(0.1).usable
+
+
+def test_quiet_sensor_is_trusted_again_when_the_estimate_takes_an_overrun_back() -> None:
+    feed = Feed()
+    feed.run(30)
+    for _ in range(8):  # the stop has not been recognised yet
+        feed.p_m += SPEED_M_S * PERIOD_S
+        feed.read(0.1)
+    assert feed.state is CanState.STUCK
+    feed.p_m = 0.1
+    assert feed.read(0.1).usable
+    assert feed.state is CanState.OK
+
+
+def test_stuck_sensor_stays_stuck_after_the_ram_has_stopped() -> None:
+    feed = Feed()
+    feed.run(20)
+    for _ in range(30):
+        feed.p_m += SPEED_M_S * PERIOD_S
+        feed.read(0.1)
+    for _ in range(50):
+        assert not feed.read(0.1).usable
+    assert feed.state is CanState.STUCK
+
+
+def test_one_outlier_makes_no_bias_and_one_good_reading_does_not_heal_one() -> None:
+    feed = Feed()
+    feed.run(20)
+    feed.run(BIASED_READINGS - 1, error_m=0.03, accepted=False)
+    assert feed.state is CanState.OK
+    feed.run(1, error_m=0.03, accepted=False)
+    assert feed.state is CanState.BIASED
+    feed.run(BIASED_READINGS - 1)
+    assert feed.state is CanState.BIASED
+    feed.run(1)
+    assert feed.state is CanState.OK
+
+
+@pytest.mark.parametrize("true_noise_m", [0.001, 0.003, 0.005])
+def test_noise_is_learned_whatever_scale_and_offset_are(true_noise_m: float) -> None:
+    sensor = DisplacementSensor(NOISE_M**2, stroke_m=0.5)
+    rng = np.random.default_rng(4)
+    learned = []
+    for i in range(1200):
+        p_m = 0.05 + 0.0003 * i
+        value_m = 0.97 * p_m + 0.02 + rng.normal(0.0, true_noise_m)
+        learned.append(sensor.judge(Displacement(i * 70_000_000, value_m), p_m).variance_m2)
+    # Each value remembers 100 readings (variance known to 20 %), all together know it to about 5 %.
+    assert math.sqrt(np.mean(learned[200:])) == pytest.approx(true_noise_m, rel=0.08)
+    assert math.sqrt(learned[-1]) == pytest.approx(true_noise_m, rel=0.4)
+
+
+def test_learned_noise_never_falls_below_the_resolution_nor_explodes_by_a_jump() -> None:
+    feed = Feed()
+    for i in range(3000):
+        feed.p_m += 1e-5
+        feed.read(feed.p_m + 1e-9 * (i % 2))
+    assert math.sqrt(feed.sensor.noise_m2) == pytest.approx(0.0003)
+    feed.read(0.5)
+    assert math.sqrt(feed.sensor.noise_m2) < 0.0004

@@ -1,0 +1,120 @@
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from estimation.belief import Belief
+from estimation.displacement_sensor import Reading
+from estimation.mskf import SPEED, Filter, P
+from estimation.records import Vector
+from estimation.segments import Motion
+from estimation.settings import EstimatorSettings, SupportSettings
+from estimation.track import Flow, Step, Track
+
+S = 10**9
+GRAVITY: Vector = (0.0, 0.0, 9.80665)
+
+
+def track(p_m: float = 0.0, **settings: float) -> tuple[Track, EstimatorSettings]:
+    estimator = EstimatorSettings.model_validate(settings)
+    filter_ = Filter.start(p_m, 0.0005, 0.018, 0.0015, 0.0012, 0.5)
+    return Track.begin(filter_, SupportSettings(), estimator), estimator
+
+
+def play(
+    of: Track, belief: Belief, settings: EstimatorSettings, from_s: float, to_s: float, value_m: float | None = None
+) -> None:
+    """Steps of 10 ms with gravity alone, and a reading every fifth if given."""
+    for i in range(round(from_s * 100) + 1, round(to_s * 100) + 1):
+        readings = [] if value_m is None or i % 5 else [Reading(i * S // 100, value_m, variance_m2=1e-5)]
+        of.advance(Step(i * S // 100, 0.01, GRAVITY, (0.0,) * 3, GRAVITY, readings=readings), belief, settings, 0.0)
+
+
+def test_usual_speed_is_the_weighted_mean_of_what_was_seen() -> None:
+    flow = Flow(0.01453, 0.0003**2)
+    for speed in (0.0150, 0.0152, 0.0149):
+        flow.learn(speed, 0.0002**2)
+    weights = [1 / 0.0003**2, *[1 / 0.0002**2] * 3]
+    mean = sum(w * v for w, v in zip(weights, (0.01453, 0.0150, 0.0152, 0.0149), strict=True)) / sum(weights)
+    assert flow.speed == pytest.approx(mean)
+    assert flow.variance == pytest.approx(1 / sum(weights))
+    assert flow.moves == 3
+
+
+def test_a_tilted_sensor_at_rest_feels_no_acceleration() -> None:
+    of, settings = track()
+    tilted = (0.0, 9.81 * math.sin(0.05), 9.81 * math.cos(0.05))
+    for i in range(1, 500):
+        of.advance(Step(i * 10**7, 0.01, tilted, (0.01, 0.02, 0.03), tilted), Belief(), settings, 0.0)
+    assert of.acceleration_m_s2 == pytest.approx(0.0, abs=1e-9)
+    assert of.gravity_m_s2 == pytest.approx(9.81)
+    assert of.gyro_bias == pytest.approx((0.01, 0.02, 0.03))
+    assert of.filter.state.x[P] == 0.0
+
+
+def test_the_gyro_levels_the_acceleration_while_moving() -> None:
+    of, settings = track()
+    play(of, Belief(), settings, 0.0, 5.0)
+    belief = Belief([Motion(1, 5 * S, confirmed=True)])
+    angle = 0.0
+    for i in range(501, 560):
+        angle += 0.1 * 0.01  # a positive turn about x lifts the push axis
+        accel = (0.0, 9.80665 * math.sin(angle), 9.80665 * math.cos(angle))
+        of.advance(Step(i * 10**7, 0.01, accel, (0.1, 0.0, 0.0), accel), belief, settings, 0.0)
+    assert of.acceleration_m_s2 == pytest.approx(0.0, abs=1e-6)
+
+
+def finished_push(value_m: float | None, stroke_s: float, **settings: float) -> Track:
+    """A push of the usual speed for `stroke_s`, without bursts in the acceleration, to its end."""
+    of, estimator = track(**settings)
+    play(of, Belief(), estimator, 0.0, 5.0, 0.0 if value_m is not None else None)
+    motion = Motion(1, 5 * S, confirmed=True, stop_ns=round((5 + stroke_s) * S), stop_confirmed=True)
+    play(of, Belief([motion]), estimator, 5.0, 5.0 + stroke_s)
+    play(of, Belief([motion]), estimator, 5.0 + stroke_s, 7.0 + stroke_s, value_m)
+    return of
+
+
+def test_a_stop_is_not_believed_without_evidence() -> None:
+    of = finished_push(None, 34.4)
+    assert of.ending is not None
+    assert of.ending.end_m == of.ending.end_before_stop_m
+    assert of.push.moves == 0
+
+
+def test_a_stop_is_believed_once_the_flow_is_learned() -> None:
+    of, settings = track()
+    of.push.learn(0.01453, 1e-9)
+    play(of, Belief(), settings, 0.0, 5.0)
+    motion = Motion(1, 5 * S, confirmed=True, stop_ns=round(39.4 * S), stop_confirmed=True)
+    play(of, Belief([motion]), settings, 5.0, 41.0)
+    assert of.ending is not None
+    if abs(of.ending.end_before_stop_m - 0.5) < 3 * of.ending.sigma_before_stop_m:
+        assert of.ending.end_m == pytest.approx(0.5, abs=0.001)
+        assert of.ending.sigma_m < 0.001
+        assert of.push.moves == 2
+
+
+def test_nothing_is_known_of_a_copy_that_went_on() -> None:
+    of, settings = track()
+    play(of, Belief(), settings, 0.0, 3.0)
+    before = of.copy()
+    other = of.copy()
+    play(other, Belief([Motion(1, 3 * S, confirmed=True)]), settings, 3.0, 6.0)
+    assert of == before
+    assert other.started == 1
+    assert other.filter.state.x[SPEED] == pytest.approx(0.01453, rel=0.1)
+    assert other.velocity_m_s == other.filter.state.x[1]
+
+
+def test_a_reading_outside_the_gate_is_refused_and_told() -> None:
+    of, settings = track()
+    play(of, Belief(), settings, 0.0, 3.0)
+    step = Step(round(3.01 * S), 0.01, GRAVITY, (0.0,) * 3, GRAVITY)
+    step.readings = [Reading(step.t_ns, v, variance_m2=1e-5) for v in (0.002, 0.1)]
+    step.readings.append(Reading(step.t_ns, 0.0, usable=False))
+    p_m = of.filter.state.x[P]
+    assert of.advance(step, Belief(), settings, 0.0) == [True, False]
+    assert of.innovation_m == pytest.approx(0.1, abs=0.002)
+    assert 0.0 < of.gate_m < 0.1
+    assert of.filter.state.x[P] == pytest.approx(p_m, abs=0.002)
