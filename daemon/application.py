@@ -22,6 +22,7 @@ from daemon.recording import topics
 from daemon.recording.metadata import LEARNED, SNAPSHOT, Preamble, describe, program_version, wall_offset_ns
 from daemon.recording.recorder import Recorder
 from daemon.recording.topics import Health, Recorded
+from daemon.rows import estimate_row, move_row
 from daemon.settings import Settings
 from daemon.stream import Stream
 from drivers.adis16448.burst import Burst
@@ -183,21 +184,19 @@ class Application:
             _log.info("%s", record.what)
             self._live.push("event", {"t_s": record.t_ns * 1e-9, "what": record.what})
         elif isinstance(record, Move):
-            from daemon.terminal import move_row
-
             self._live.push("move", move_row(record))
 
     def _publish(self, estimate: Estimate) -> None:
         t_ns = estimate.t_ns
         settings = self._settings.can.publish
         if self._bus is not None and settings.enabled and t_ns >= self._publish_due_ns:
-            self._publish_due_ns = t_ns + round(settings.period_ms * 1e6)
+            self._publish_due_ns = max(self._publish_due_ns + round(settings.period_ms * 1e6), t_ns)
             frame = self._encoder.encode(estimate)
             if self._bus.send(frame):
                 self._recorder.write(topics.CAN_TX, frame)
         if t_ns >= self._live_due_ns:
-            self._live_due_ns = t_ns + round(LIVE_ESTIMATE_S * 1e9)
-            self._live.push("estimate", _estimate_row(estimate))
+            self._live_due_ns = max(self._live_due_ns + round(LIVE_ESTIMATE_S * 1e9), t_ns)
+            self._live.push("estimate", estimate_row(estimate))
 
     def _preamble(self) -> Preamble:
         identity = self._imu.identity
@@ -257,7 +256,7 @@ class Application:
                 "sources": decoders,
             }
         last = self._stream.last
-        health["estimate"] = None if last is None else _estimate_row(last)
+        health["estimate"] = None if last is None else estimate_row(last)
         return health
 
     # --- remembered stroke ------------------------------------------------------------------------------------
@@ -290,18 +289,6 @@ def _settle_process() -> None:
     gc.freeze()
     gc.set_threshold(50_000, 50, 1000)
     sys.setswitchinterval(SWITCH_INTERVAL_S)
-
-
-def _estimate_row(estimate: Estimate) -> dict[str, Any]:
-    return {
-        "t_s": estimate.t_ns * 1e-9,
-        "displacement_mm": round(estimate.displacement_m * 1e3, 3),
-        "sigma_mm": round(estimate.sigma_m * 1e3, 3),
-        "velocity_mm_s": round(estimate.velocity_m_s * 1e3, 3),
-        "segment": str(estimate.segment),
-        "can_state": str(estimate.can_state),
-        "move": estimate.move,
-    }
 
 
 def _recorder_health(recorder: Recorder, enabled: bool) -> dict[str, Any]:

@@ -9,6 +9,7 @@ import argparse
 import importlib
 import os
 import sys
+import textwrap
 from collections.abc import Sequence
 from types import ModuleType
 
@@ -41,7 +42,30 @@ SUMMARY = {
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
-    arguments = list(sys.argv[1:] if arguments is None else arguments)
+    from daemon.errors import describe
+
+    try:
+        code = _run(list(sys.argv[1:] if arguments is None else arguments))
+        sys.stdout.flush()  # at the interpreter's end a broken pipe could no longer be caught
+        return code
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        # The reader of our output has gone, as with `| head`; nobody is left to tell.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except Exception as error:
+        described = describe(error)
+        if described is None:
+            raise
+        code, sentences = described
+        for sentence in sentences:
+            print(f"ramstroke: {sentence}", file=sys.stderr)
+        return code
+
+
+def _run(arguments: list[str]) -> int:
     module = _load(arguments[0]) if arguments and arguments[0] in COMMANDS else None
     parser = _parser(arguments[0] if module else None, module)
     try:
@@ -51,7 +75,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if module is None:
         parser.print_help()
         return 2
-    return _run(module, parsed)
+    return int(module.run(parsed))
 
 
 def _load(command: str) -> ModuleType:
@@ -74,7 +98,7 @@ def _parser(chosen: str | None, module: ModuleType | None) -> argparse.ArgumentP
             sub = commands.add_parser(
                 name,
                 help=summary,
-                description=module.HELP,
+                description=textwrap.fill(module.HELP, 100),
                 epilog=f"Example:\n  {module.EXAMPLE}",
                 formatter_class=argparse.RawDescriptionHelpFormatter,
             )
@@ -82,28 +106,6 @@ def _parser(chosen: str | None, module: ModuleType | None) -> argparse.ArgumentP
         else:
             commands.add_parser(name, help=summary)
     return parser
-
-
-def _run(module: ModuleType, parsed: argparse.Namespace) -> int:
-    from daemon.errors import describe
-
-    try:
-        return int(module.run(parsed))
-    except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
-        return 130
-    except BrokenPipeError:
-        # The reader of our output has gone, as with `| head`; nobody is left to tell.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 1
-    except Exception as error:
-        described = describe(error)
-        if described is None:
-            raise
-        code, sentences = described
-        for sentence in sentences:
-            print(f"ramstroke: {sentence}", file=sys.stderr)
-        return code
 
 
 if __name__ == "__main__":

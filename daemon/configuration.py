@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import re
+import reprlib
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from daemon.settings import Settings
+from drivers.can.dbc import find_signal
 from drivers.can.displacement import build_decoders
 from drivers.can.settings import CanConfigError
 
@@ -36,27 +38,36 @@ def load(path: Path) -> Settings:
     if len(data) > _LARGEST_FILE_BYTES:
         raise ConfigurationError([f"{path}: is larger than 1 MB and no configuration file"])
     try:
-        text = data.decode()
+        text = data.decode("utf-8-sig")  # some editors put a mark in front
         tree = tomllib.loads(text)
     except UnicodeDecodeError as error:
         raise ConfigurationError([f"{path}: is no text file (UTF-8)"]) from error
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:
         raise ConfigurationError([f"{path}: is not valid TOML: {error}"]) from error
     _anchor_dbc_paths(tree, path.resolve().parent)
     try:
         settings = Settings.model_validate(tree)
-        check_can(settings)
     except ValidationError as error:
         raise ConfigurationError(_sentences(path, text, error)) from error
-    except CanConfigError as error:
-        raise ConfigurationError([f"{path}: [can] {error}"]) from error
+    _check_can(settings, path, text)
     return settings
 
 
-def check_can(settings: Settings) -> None:
-    """Raise CanConfigError if the CAN settings do not fit their DBC files."""
-    if settings.can.enabled:
+def _check_can(settings: Settings, path: Path, text: str) -> None:
+    """Refuse CAN settings that do not fit their DBC files."""
+    if not settings.can.enabled:
+        return
+    location = ["can"]
+    try:
+        for key, source in (("displacement", settings.can.displacement), ("reference", settings.can.reference)):
+            if source is not None:
+                location = ["can", key]
+                find_signal(source)
+        location = ["can"]
         build_decoders(settings.can)
+    except CanConfigError as error:
+        place = _place(path, text, [*location, *_named_key(str(error))])
+        raise ConfigurationError([f"{place}: [{'.'.join(location)}] {error}"]) from error
 
 
 def _anchor_dbc_paths(tree: dict[str, Any], folder: Path) -> None:
@@ -72,10 +83,20 @@ def _sentences(path: Path, text: str, error: ValidationError) -> list[str]:
     sentences = []
     for fault in error.errors():
         location = [str(part) for part in fault["loc"]]
-        line = _line_of(text, location)
-        place = f"{path}:{line}" if line else f"{path}"
-        sentences.append(f"{place}: {_describe(location, fault)}")
+        named = _named_key(_plain(fault["msg"])) if fault["type"] == "value_error" else []
+        sentences.append(f"{_place(path, text, location + named)}: {_describe(location, fault)}")
     return sentences
+
+
+def _named_key(message: str) -> list[str]:
+    """The key that a fault of several keys names first, below the section it belongs to."""
+    named = re.search(r"option `(\w+)`", message) or re.match(r"`?([a-z_]+(?:\.[a-z_]+)*)", message)
+    return named.group(1).split(".") if named else []
+
+
+def _place(path: Path, text: str, location: list[str]) -> str:
+    line = _line_of(text, location)
+    return f"{path}:{line}" if line else f"{path}"
 
 
 def _describe(location: list[str], fault: Any) -> str:
@@ -86,8 +107,11 @@ def _describe(location: list[str], fault: Any) -> str:
     if fault["type"] == "extra_forbidden":
         return f"{name} is unknown{_suggestion(location)}"
     if fault["type"] == "value_error":
-        return f"{name}: {_plain(fault['msg'])}"
-    return f"{name} = {fault['input']!r}: {_plain(fault['msg'])}{_unit_of(key)}"
+        return f"[{'.'.join(location)}] {_plain(fault['msg'])}"
+    value = reprlib.repr(fault["input"])
+    if fault["type"] == "model_type":
+        return f"{name} = {value}: must be a section with keys of its own"
+    return f"{name} = {value}: {_plain(fault['msg'])}{_unit_of(key)}"
 
 
 def _plain(message: str) -> str:
@@ -124,12 +148,12 @@ def _line_of(text: str, location: list[str]) -> int | None:
     section: list[str] = []
     found = None
     for number, line in enumerate(text.splitlines(), start=1):
-        header = re.match(r"\s*\[\s*([^\[\]]+?)\s*\]", line)
+        header = re.match(r"\s*\[{1,2}\s*([^\[\]]+?)\s*\]", line)
         if header:
             section = [part.strip().strip("\"'") for part in header.group(1).split(".")]
             if section == location:
                 return number
-            if section == location[:-1]:
+            if section == location[:-1] or section[: len(location)] == location:
                 found = found or number
             continue
         key = re.match(r"\s*([\w.\"'-]+)\s*=", line)

@@ -19,20 +19,20 @@ from daemon.settings import Settings
 _HEAD = """\
 # Configuration
 
-One TOML file. Every key may be left out: then its default holds. An unknown key, a wrong type or a value out of range is
-refused at the start, with file, line and key.
+One TOML file. Every key may be left out: then its default holds. An unknown key, a wrong type or a value out of
+range is refused at the start, with file, line and key.
 
 ```
-ramstroke check-config /etc/ramstroke/ramstroke.toml
+ramstroke check-config config/ramstroke.toml
 ```
 
-checks a file and the DBC files it names. Exit code 0: good; 2: it cannot be used. A relative path in `dbc` counts from the
-folder of the configuration file, every other relative path from where the program was started.
+checks a file and the DBC files that it names. Exit code 0: good; 2: it cannot be used. A relative `dbc` is looked
+for beside the configuration file; any other relative path counts from where the program was started.
 
-Examples, in `config/`: `ramstroke.toml` (all keys, for a real support), `trial.toml` (`ramstroke sim` and `ramstroke run` as two
-programs on one computer), `bench.toml` (a virtual support inside `ramstroke run`).
+Examples: `config/ramstroke.toml` (a real support, all keys), `config/trial.toml` (`ramstroke sim` and
+`ramstroke run`, two programs on one computer), `config/bench.toml` (a virtual support within `ramstroke run`).
 
-This page is made from the program: `python -m daemon.configuration_reference > docs/configuration.md`.
+This page is made from the program, see the first lines of `daemon/configuration_reference.py`.
 """
 
 _TABLE_HEAD = ("key", "meaning", "unit", "allowed", "default")
@@ -46,9 +46,7 @@ def generate() -> str:
     described: dict[type[BaseModel], str] = {}
     for name, model in sections(Settings):
         if model in described:
-            parts.append(
-                f"## [{name}]\n\nLeft out by default. Otherwise its keys are those of `[{described[model]}]`.\n"
-            )
+            parts.append(f"## [{name}]\n\nNot set. Its keys are those of `[{described[model]}]`.\n")
             continue
         described[model] = name
         parts.append(f"## [{name}]\n\n{_purpose(model)}\n\n{_table(name, model)}\n")

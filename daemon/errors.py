@@ -14,11 +14,15 @@ class CommandError(Exception):
     """A command cannot do its work; the text is one sentence."""
 
 
+class UsageError(CommandError):
+    """A command cannot be used like that; the text is one sentence."""
+
+
 def describe(error: Exception) -> tuple[int, list[str]] | None:
     """Exit code and sentences for an error that a person can mend; None for a fault of the program."""
     if isinstance(error, ConfigurationError):
         return MISUSED, error.sentences
-    if isinstance(error, CanConfigError):
+    if isinstance(error, CanConfigError | UsageError):
         return MISUSED, [str(error)]
     if isinstance(error, RecordingError | CommandError | ImuError):
         return FAILED, [str(error)]

@@ -42,12 +42,23 @@ def open_ports(settings: ImuSettings, clock: Clock, support: VirtualSupport | No
     if settings.transport == "socket":
         from drivers.virtual.spi_socket import SocketDataReady, SocketTransport
 
-        transport = SocketTransport(settings.socket_path)
-        return transport, SocketDataReady(settings.socket_path, pin=pin, active_high=active_high)
-    spi = SpidevTransport(settings.spi_device)
-    if settings.data_ready_line is None:
+        path = settings.socket_path
+        return _both(
+            SocketTransport(path), lambda: SocketDataReady(path, pin=pin, active_high=active_high)
+        )
+    spi, chip, line = SpidevTransport(settings.spi_device), settings.data_ready_chip, settings.data_ready_line
+    if line is None:
         return spi, PacedDataReady(clock, settings.nominal_period_s)
-    return spi, GpiodDataReady(settings.data_ready_chip, settings.data_ready_line, active_high=active_high)
+    return _both(spi, lambda: GpiodDataReady(chip, line, active_high=active_high))
+
+
+def _both(transport: SpiTransport, open_line: Callable[[], DataReady]) -> tuple[SpiTransport, DataReady]:
+    """Port and line, or neither."""
+    try:
+        return transport, open_line()
+    except DataReadyError:
+        transport.close()
+        raise
 
 
 class ImuLink:
@@ -93,16 +104,18 @@ class ImuLink:
         return report
 
     def _run(self) -> None:
-        retry_s = FIRST_RETRY_S
+        retry_s = FIRST_RETRY_S / 2
         while not self._stopping.is_set():
+            starts = self.starts
             try:
                 self._acquire()
-            except (SpiError, DataReadyError, ImuError, OSError) as error:
+            except Exception as error:
                 if self.state != f"waiting: {error}":
-                    _log.warning("the inertial sensor cannot be started: %s", error)
+                    expected = isinstance(error, OSError | ImuError)
+                    _log.warning("no inertial samples: %s", error, exc_info=None if expected else error)
                 self.state = f"waiting: {error}"
+                retry_s = FIRST_RETRY_S if self.starts > starts else min(2 * retry_s, LONGEST_RETRY_S)
                 self._stopping.wait(retry_s)
-                retry_s = min(2 * retry_s, LONGEST_RETRY_S)
 
     def _wait_while_good(self, acquisition: Acquisition) -> None:
         """Return on stop; raise ImuError when good samples have ceased."""

@@ -35,16 +35,21 @@ class _Viewer:
         self._wake.set()
 
     async def serve(self) -> None:
+        """Send until cancelled or the viewer has gone."""
         told = 0
-        while True:
-            await self._wake.wait()
-            self._wake.clear()
-            while self._lines:
-                self._writer.write(self._lines.popleft())
-                await self._writer.drain()
-            if self.dropped != told:
-                told = self.dropped
-                self._writer.write(_line("dropped", {"lines": told}))
+        with suppress(OSError):
+            while True:
+                await self._wake.wait()
+                self._wake.clear()
+                while self._lines:
+                    if self.dropped != told:
+                        told = self.dropped
+                        self._writer.write(_line("dropped", {"lines": told}))
+                    self._writer.write(self._lines.popleft())
+                    await self._writer.drain()
+
+    def hang_up(self) -> None:
+        self._writer.close()
 
 
 def _line(kind: str, content: dict[str, Any]) -> bytes:
@@ -73,11 +78,17 @@ class LiveServer:
         return self._dropped_before + sum(viewer.dropped for viewer in self._viewers)
 
     async def start(self) -> None:
-        """Listen. Raises OSError: the folder cannot be made or another daemon listens there."""
-        self._path.parent.mkdir(parents=True, exist_ok=True)
-        await self._remove_stale()
-        self._server = await asyncio.start_unix_server(self._welcome, self._path)
-        self._path.chmod(0o660)
+        """Listen. Raises OSError with one sentence: no socket can be there, or another daemon listens on it."""
+        try:
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            await self._remove_stale()
+            self._server = await asyncio.start_unix_server(self._welcome, self._path)
+            self._path.chmod(0o660)
+        except OSError as error:
+            reason = error.strerror or error
+            raise OSError(
+                f"cannot serve viewers on {self._path} ({reason}): correct service.socket"
+            ) from error
 
     async def close(self) -> None:
         """Hang up on everybody and remove the socket."""
@@ -85,7 +96,7 @@ class LiveServer:
             return
         self._server.close()
         for viewer in list(self._viewers):
-            viewer._writer.close()
+            viewer.hang_up()
         with suppress(OSError):
             self._path.unlink()
 
@@ -103,23 +114,24 @@ class LiveServer:
         except FileNotFoundError:
             return
         if not is_socket:
-            raise OSError(f"{self._path} exists and is no socket: choose another service.socket")
+            raise OSError("it exists and is no socket")
         try:
             _, writer = await asyncio.open_unix_connection(self._path)
-        except OSError:
+        except ConnectionRefusedError:
             self._path.unlink()
             return
         writer.close()
-        raise OSError(f"another daemon already serves {self._path}: stop it or choose another service.socket")
+        raise OSError("another daemon already serves it")
 
     async def _welcome(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         if len(self._viewers) >= VIEWERS:
             self.refused += 1
+            writer.write(_line("refused", {"viewers": VIEWERS}))
             writer.close()
             return
         viewer = _Viewer(writer)
-        self._viewers.add(viewer)
         viewer.push(_line("hello", self._hello()))
+        self._viewers.add(viewer)
         sending = asyncio.ensure_future(viewer.serve())
         try:
             # A viewer has nothing to say; what it says anyway is thrown away, and its end is noticed here.

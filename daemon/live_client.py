@@ -29,6 +29,8 @@ def first_line(path: Path) -> dict[str, Any]:
         greeting = json.loads(line)
     except ValueError as error:
         raise CommandError(f"what answers on {path} is no ramstroke daemon") from error
+    if isinstance(greeting, dict) and greeting.get("type") == "refused":
+        raise CommandError(f"the daemon on {path} serves as many viewers as it can: close one of them")
     if not isinstance(greeting, dict) or greeting.get("type") != "hello":
         raise CommandError(f"what answers on {path} is no ramstroke daemon")
     return greeting

@@ -12,12 +12,6 @@ class Notifier:
     def __init__(self, address: str | None = None) -> None:
         self._address = os.environ.get("NOTIFY_SOCKET") if address is None else address
 
-    @property
-    def watchdog_s(self) -> float | None:
-        """Interval in which systemd wants a sign of life; None without a watchdog."""
-        text = os.environ.get("WATCHDOG_USEC", "")
-        return int(text) / 1e6 if text.isdigit() and int(text) > 0 else None
-
     def ready(self) -> None:
         """The service has started."""
         self._send("READY=1")
@@ -32,7 +26,7 @@ class Notifier:
 
     def status(self, text: str) -> None:
         """One line for `systemctl status`."""
-        self._send(f"STATUS={text}")
+        self._send(f"STATUS={' '.join(text.split())}")  # a line break would begin another assignment
 
     def _send(self, message: str) -> None:
         if not self._address:

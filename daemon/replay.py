@@ -113,6 +113,7 @@ def replay(
     stream = _stream_for(recording, settings, receive)
     first_ns = last_ns = None
     count = 0
+    stream.pipeline.prepare()
     began = time.perf_counter()
     for topic, record in recording.messages((*INPUTS, *_COMPARED)):
         count += 1

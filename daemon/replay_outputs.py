@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import os
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from daemon.recording import topics
@@ -88,7 +88,8 @@ def _table_sink(path: Path, wanted: str) -> Iterator[Sink]:
     except OSError as error:
         raise failed("write", path, error) from error
     finally:
-        part.unlink(missing_ok=True)
+        with suppress(OSError):
+            part.unlink()
 
 
 def _row(estimate: Estimate) -> tuple[object, ...]:

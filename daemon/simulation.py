@@ -35,8 +35,8 @@ async def simulate(settings: Settings) -> None:
     try:
         await stopping.wait()
     finally:
+        server.close()
         if sending is not None:
             sending.cancel()
             with suppress(asyncio.CancelledError):
                 await sending
-        server.close()

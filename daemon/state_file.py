@@ -6,7 +6,7 @@ import json
 import logging
 import os
 import time
-from math import sqrt
+from math import hypot, sqrt
 from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -17,6 +17,8 @@ FORMAT = 1
 # What may have happened to the ram while nobody watched.
 UNWATCHED_SIGMA_M = 0.005
 UNWATCHED_PER_HOUR_M = 0.010
+OVERSHOOT_MM = 50.0  # an estimate may lie a little beyond the stops
+CLOCK_SLACK_S = 60.0
 LARGEST_FILE_BYTES = 100_000
 
 _log = logging.getLogger(__name__)
@@ -35,10 +37,18 @@ class SavedStroke(BaseModel):
     at_rest: bool
 
     def start(self, now_s: float) -> Start:
-        """What it is still worth: the doubt grows with the time nobody watched; saved in a move, nothing is known."""
-        hours = max(now_s - self.wall_time_s, 0.0) / 3600
-        sigma_m = sqrt((self.sigma_mm / 1e3) ** 2 + UNWATCHED_SIGMA_M**2 + (UNWATCHED_PER_HOUR_M * hours) ** 2)
-        if not self.at_rest or sigma_m >= self.stroke_mm / 1e3 / sqrt(12.0):
+        """What it is still worth: the doubt grows with the time nobody watched. Undetermined if nothing."""
+        unwatched_s = now_s - self.wall_time_s
+        sigma_m = hypot(self.sigma_mm / 1e3, UNWATCHED_SIGMA_M, UNWATCHED_PER_HOUR_M * unwatched_s / 3600)
+        useless = None
+        if not self.at_rest:
+            useless = "was saved during a move"
+        elif unwatched_s < -CLOCK_SLACK_S:
+            useless = "was saved later than now, so the computer's clock is not to be trusted"
+        elif sigma_m >= self.stroke_mm / 1e3 / sqrt(12.0):
+            useless = "is too old or was too uncertain"
+        if useless is not None:
+            _log.warning("the saved stroke %s: the stroke is undetermined", useless)
             return Start()
         return Start(self.displacement_mm / 1e3, sigma_m, only_without_sensor=True)
 
@@ -58,6 +68,9 @@ def load(path: Path, stroke_mm: float, now_s: float | None = None) -> Start:
         return Start()
     if saved.format != FORMAT or saved.stroke_mm != stroke_mm:
         _log.warning("%s was saved for another support or version: the stroke is undetermined", path)
+        return Start()
+    if not -OVERSHOOT_MM <= saved.displacement_mm <= stroke_mm + OVERSHOOT_MM:
+        _log.warning("%s holds an impossible stroke: the stroke is undetermined", path)
         return Start()
     return saved.start(time.time() if now_s is None else now_s)
 

@@ -82,10 +82,13 @@ class Stream:
     def restore(self, snapshot: bytes) -> None:
         """Continue from a snapshot. Raises ValueError on damaged or foreign bytes."""
         head, _, state = snapshot.partition(b"\n")
-        emergencies = json.loads(head)["emergencies"]
-        for decoder, code in zip(self.decoders, emergencies, strict=True):
-            if decoder.emergency is not None:
-                decoder.emergency.pending_code = code
+        try:
+            emergencies = json.loads(head)["emergencies"]
+            for decoder, code in zip(self.decoders, emergencies, strict=True):
+                if decoder.emergency is not None:
+                    decoder.emergency.pending_code = None if code is None else int(code)
+        except (LookupError, TypeError, RecursionError) as error:
+            raise ValueError("not a snapshot of this program") from error
         self.pipeline.restore(state)
 
     def _take_frame(self, frame: Frame) -> None:

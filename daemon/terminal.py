@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from daemon.rows import move_row as move_row
 from estimation.records import Move
 
 # A pipe or a file has no width of its own: wide enough for every table.
@@ -33,6 +34,11 @@ def _finite(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_finite(item) for item in value]
     return value
+
+
+def say(text: str) -> None:
+    """One line on standard output, as it is: a path may hold what looks like markup."""
+    OUT.print(text, highlight=False, markup=False)
 
 
 @contextmanager
@@ -58,23 +64,6 @@ def table(title: str, *columns: str) -> Table:
     for i, column in enumerate(columns):
         made.add_column(column, justify="left" if i == 0 else "right")
     return made
-
-
-def move_row(move: Move) -> dict[str, Any]:
-    """A finished move in the words and units of the command line."""
-    return {
-        "kind": str(move.kind),
-        "onset_s": move.onset_ns * 1e-9,
-        "stop_s": move.stop_ns * 1e-9,
-        "start_mm": move.start_m * 1e3,
-        "end_mm": move.end_m * 1e3,
-        "sigma_mm": move.sigma_m * 1e3,
-        "end_before_stop_mm": move.end_before_stop_m * 1e3,
-        "sigma_before_stop_mm": move.sigma_before_stop_m * 1e3,
-        "velocity_mm_s": move.velocity_m_s * 1e3,
-        "can_state": str(move.can_state),
-        "tier": str(move.tier),
-    }
 
 
 def print_moves(moves: list[Move]) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 from estimation.records import Segment
@@ -86,12 +86,13 @@ class Belief:
         self.items[-1] = motion
 
     def begin_free(self, from_ns: int) -> None:
-        """From now on nothing is explained; a move that still went on is given up, an unproven one wholly."""
+        """From then on nothing is explained; a move that still went on is cut there, an unproven one forgotten."""
         motion = self.last_motion
-        if motion is not None and motion.stop_ns is None:
-            self.items.pop()
-            if not motion.confirmed:
-                from_ns = min(from_ns, motion.onset_ns)
+        if motion is not None and not motion.stop_confirmed:
+            if motion.confirmed:
+                self.items[-1] = replace(motion, stop_ns=None, cut_ns=from_ns)
+            else:
+                self.items.pop()
         self.items.append(Free(from_ns))
 
     def end_free(self, t_ns: int) -> None:
@@ -115,6 +116,8 @@ def _phase_in(motion: Motion, t_ns: int) -> Phase | None:
     since_onset_s = (t_ns - motion.onset_ns) * 1e-9
     if since_onset_s < -BURST_LEAD_S:
         return None
+    if motion.cut_ns is not None and t_ns >= motion.cut_ns:
+        return None
     if motion.stop_ns is not None:
         since_stop_s = (t_ns - motion.stop_ns) * 1e-9
         if since_stop_s >= STOP_BURST_S:
@@ -128,4 +131,6 @@ def _phase_in(motion: Motion, t_ns: int) -> Phase | None:
 def _end_ns(item: Motion | Free) -> int | None:
     if isinstance(item, Free):
         return item.until_ns
+    if item.cut_ns is not None:
+        return item.cut_ns
     return None if item.stop_ns is None else item.stop_ns + round(STOP_BURST_S * 1e9)

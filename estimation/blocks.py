@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from estimation.mount import Mount
-from estimation.records import ImuSample, Vector
+from estimation.records import ImuSample
 from estimation.track import Step
 from estimation.wavelet import CausalSmoother
 
@@ -14,8 +14,6 @@ GAP_S = 0.05  # longer than any jitter, shorter than any burst
 PERIOD_MEMORY = 2000  # samples
 GAP_PERIODS = 4.0  # of the source itself, if that is slow
 
-_ZERO: Vector = (0.0, 0.0, 0.0)
-
 
 @dataclass(slots=True)
 class BlockCutter:
@@ -23,8 +21,7 @@ class BlockCutter:
 
     smoother: CausalSmoother = field(default_factory=CausalSmoother)
     count: int = 0
-    accel: Vector = _ZERO
-    gyro: Vector = _ZERO
+    sums: list[float] = field(default_factory=lambda: [0.0] * 6)  # acceleration, then rate, in sensor axes
     last_ns: int | None = None
     step_end_ns: int | None = None
     period_s: float = 0.0  # of the samples, running mean
@@ -50,12 +47,18 @@ class BlockCutter:
             self.step_end_ns = sample.t_ns - round(self.period_s * 1e9)
         self.last_ns = sample.t_ns
 
-        accel, gyro = mount.to_support(sample.accel), mount.to_support(sample.gyro)
-        self.smoother.add(accel)
-        self.accel = _plus(self.accel, accel)
-        self.gyro = _plus(self.gyro, gyro)
+        self.smoother.add(sample.accel)
+        sums = self.sums
+        ax, ay, az = sample.accel
+        gx, gy, gz = sample.gyro
+        sums[0] += ax
+        sums[1] += ay
+        sums[2] += az
+        sums[3] += gx
+        sums[4] += gy
+        sums[5] += gz
         self.count += 1
-        return gap_s, self._cut() if self.count == SAMPLES_PER_STEP else None
+        return gap_s, self._cut(mount) if self.count == SAMPLES_PER_STEP else None
 
     def _learn_period(self, dt_s: float) -> None:
         """Mean distance of neighbouring samples; where some were lost between them, it says nothing."""
@@ -65,29 +68,26 @@ class BlockCutter:
             self.periods = min(self.periods + 1, PERIOD_MEMORY)
             self.period_s += (dt_s - self.period_s) / self.periods
 
-    def _cut(self) -> Step:
+    def _cut(self, mount: Mount) -> Step:
         assert self.last_ns is not None
         assert self.step_end_ns is not None
+        ax, ay, az, gx, gy, gz = (total / self.count for total in self.sums)
+        # The mount is linear: turning the mean spares turning each sample.
         step = Step(
             t_ns=self.last_ns,
             dt_s=(self.last_ns - self.step_end_ns) * 1e-9,
-            accel=_over(self.accel, self.count),
-            gyro=_over(self.gyro, self.count),
-            smooth=self.smoother.value(),
+            accel=mount.to_support((ax, ay, az)),
+            gyro=mount.to_support((gx, gy, gz)),
+            smooth=mount.to_support(self.smoother.value()),
         )
         self.step_end_ns = self.last_ns
-        self.count, self.accel, self.gyro = 0, _ZERO, _ZERO
+        self._clear()
         return step
 
     def _start_anew(self) -> None:
         self.smoother.clear()
-        self.count, self.accel, self.gyro = 0, _ZERO, _ZERO
+        self._clear()
         self.step_end_ns = None
 
-
-def _plus(a: Vector, b: Vector) -> Vector:
-    return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
-
-
-def _over(a: Vector, n: int) -> Vector:
-    return (a[0] / n, a[1] / n, a[2] / n)
+    def _clear(self) -> None:
+        self.count, self.sums = 0, [0.0] * 6

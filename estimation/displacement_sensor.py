@@ -8,6 +8,7 @@ from math import isfinite
 from estimation.records import CanState, Displacement
 
 GATE_SIGMAS = 4.5
+TRUST_SIGMAS = 2.5  # a biased sensor must agree this well to be trusted again
 STUCK_READINGS = 6  # identical in a row ...
 STUCK_TRAVEL_M = 0.003  # ... while the piston must have moved this far
 BIASED_READINGS = 8  # outside the gate in a row, and inside it again to be trusted
@@ -20,11 +21,15 @@ NOISE_MEMORY = 100  # readings
 
 @dataclass(slots=True)
 class Reading:
-    """One reading on its way through the estimator; `usable` can still be withdrawn within the buffer."""
+    """One reading on its way through the estimator; `usable` can still be withdrawn within the buffer.
+
+    A usable reading that is not `trusted` is only compared with the prediction.
+    """
 
     t_ns: int
     value_m: float
     usable: bool = True
+    trusted: bool = True
     variance_m2: float = 0.0
 
 
@@ -41,6 +46,7 @@ class DisplacementSensor:
     period_s: float = 0.1
     same_in_row: int = 0
     row_began_m: float = 0.0  # the prediction when the row of identical readings began
+    near_in_row: int = 0  # readings since the prediction was last far from there
     rejected_in_row: int = 0
     accepted_in_row: int = 0
     invalid: bool = False
@@ -71,9 +77,14 @@ class DisplacementSensor:
                 self._learn_noise(reading.value_m - predicted_m, self.last_value_m - self.last_prediction_m)
             self.same_in_row = 0
         self.last_value_m, self.last_prediction_m = reading.value_m, predicted_m
-        travelled = self.same_in_row > 0 and abs(predicted_m - self.row_began_m) >= STUCK_TRAVEL_M
-        self.stuck = travelled and self.same_in_row + 1 >= STUCK_READINGS
-        return Reading(reading.t_ns, reading.value_m, usable=not self.stuck, variance_m2=self.noise_m2)
+        self._look_for_freezing(predicted_m)
+        return Reading(
+            reading.t_ns,
+            reading.value_m,
+            usable=not self.stuck,
+            trusted=not self.biased,
+            variance_m2=self.noise_m2,
+        )
 
     def gated(self, accepted: bool) -> None:
         """Hear from the filter whether the reading lay within its gate."""
@@ -101,6 +112,19 @@ class DisplacementSensor:
             if ill:
                 return word
         return CanState.OK
+
+    def _look_for_freezing(self, predicted_m: float) -> None:
+        """Stuck: the same value again while the ram has moved, until that proves to have been a mistake.
+
+        A ram that merely passes the frozen value on its way back does not heal the sensor.
+        """
+        same = self.same_in_row > 0
+        travelled = same and abs(predicted_m - self.row_began_m) >= STUCK_TRAVEL_M
+        self.near_in_row = 0 if travelled else self.near_in_row + 1
+        if self.stuck:
+            self.stuck = same and self.near_in_row < STUCK_READINGS
+        else:
+            self.stuck = travelled and self.same_in_row + 1 >= STUCK_READINGS
 
     def _learn_noise(self, residual_m: float, last_residual_m: float) -> None:
         """Half the mean square of successive differences: blind to scale, offset and bow."""

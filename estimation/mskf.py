@@ -1,4 +1,4 @@
-"""Streaming multi-segmental Kalman filter: one Gaussian, one model a segment (paper C, eq. (14)-(18), as they can work).
+"""Streaming multi-segmental Kalman filter: one Gaussian, one model a segment (paper C, eq. (14)-(18), corrected).
 
     ZUPT   rest: v = 0, the displacement stays
     VVM    start and stop bursts: v' = a - b, levelled by the gyro
@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
-from math import exp
+from math import exp, hypot, sqrt
 
 from estimation.gaussian import Gaussian
 from estimation.kernels import ACCEL_NOISE, GYRO_WALK
@@ -127,9 +127,10 @@ class Filter:
         """An unexplained motion may tilt the sensor by degrees: the level is lost."""
         self.state.diffuse(B, FREE_LEVEL_M_S2**2)
 
-    def free(self, dt_s: float, acceleration_m_s2: float) -> None:
-        """No model holds: integrate with great doubt, and forget the speed within seconds."""
-        self._integrate(dt_s, acceleration_m_s2, FREE_ACCEL_NOISE)
+    def free(self, dt_s: float, acceleration_m_s2: float, vibration_m_s2: float) -> None:
+        """No model holds: integrate with great doubt, the shaking taken for white, and forget the speed in seconds."""
+        noise = hypot(FREE_ACCEL_NOISE, vibration_m_s2 * sqrt(dt_s))
+        self._integrate(dt_s, acceleration_m_s2, noise)
         self.state.scale(V, exp(-dt_s / FREE_SPEED_MEMORY_S))
         self._admit_ignorance()
 
@@ -143,6 +144,10 @@ class Filter:
         g.diffuse(V, q * dt_s)
         g.scale(V, exp(-dt_s / FREE_SPEED_MEMORY_S))
         self._admit_ignorance()
+
+    def lose_place(self) -> None:
+        """The displacement may be anything."""
+        self.state.reset(P, 0.5 * self.stroke_m, self.stroke_m**2)
 
     def _integrate(self, dt_s: float, acceleration_m_s2: float, noise: float) -> None:
         g = self.state
@@ -171,6 +176,5 @@ class Filter:
 
     def _admit_ignorance(self) -> None:
         """A doubt beyond half a stroke: nothing is known, not even that the sensor still sits on the ram."""
-        g = self.state
-        if g.sigma(P) > 0.5 * self.stroke_m:
-            g.reset(P, 0.5 * self.stroke_m, self.stroke_m**2)
+        if self.state.sigma(P) > 0.5 * self.stroke_m:
+            self.lose_place()

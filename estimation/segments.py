@@ -51,6 +51,7 @@ class Motion:
     confirmed: bool = False
     stop_ns: int | None = None
     stop_confirmed: bool = False
+    cut_ns: int | None = None  # given up here: how it went on is not known
 
 
 class Decision(StrEnum):

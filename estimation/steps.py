@@ -5,6 +5,7 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections import deque
 from dataclasses import dataclass, field
+from math import sqrt
 from typing import Annotated
 
 import numpy as np
@@ -32,10 +33,14 @@ HISTORY_S = 3.6  # how far back a decision may look
 OWN_RMS_TIME_S = 8.0
 OWN_RMS_DELAY_S = 2.2  # a burst must have been recognised before its own steps count as rest
 VIBRATION_TIME_S = 0.5
+BRIDGE_FROM_S = 0.5
 VIBRATION_FAST_TIME_S = 0.25
 # Mean square of the second difference per mean square of band noise (5-60 Hz, 102.4 Hz blocks), and of white noise.
 SECOND_DIFFERENCE_GAIN = 3.8
 SECOND_DIFFERENCE_WHITE = 6.0
+
+
+_KERNELS = list(range(len(SPECS)))
 
 
 @dataclass(frozen=True)
@@ -133,11 +138,9 @@ class StepBank:
         x = np.zeros(len(SPECS))
         sigma = np.ones(len(SPECS))
         if self.blocks >= self._short.window:
-            seen = self.levelled_m_s2[-bank.window :]
-            for k, post in enumerate(bank.post_steps):
-                level = self._level(post)
-                x[k] = bank.weights[level, k] @ seen
-                sigma[k] = bank.sigma[level, k]
+            levels = [self._level(post) for post in bank.post_steps]
+            x = bank.weights[levels, _KERNELS] @ self.levelled_m_s2[-bank.window :]
+            sigma = bank.sigma[levels, _KERNELS]
             self._follow_own_rms(resting)
             if self.rest_s > 2.0:
                 np.maximum(sigma, np.sqrt(self.own_square), out=sigma)
@@ -148,11 +151,17 @@ class StepBank:
         return Steps(tuple(x.tolist()), tuple(sigma.tolist()))
 
     def bridge(self, t_ns: int) -> None:
-        """Repeat the last block up to a time: the kernels must find the blocks after a short gap in their places."""
+        """Fill a short gap up to a time: the kernels must find the blocks after it in their places.
+
+        What they missed is taken as the recent middle: a single block, repeated, would add up to a step.
+        """
+        recent = max(round(BRIDGE_FROM_S / self.dt_s), 1)
+        push, tilt_rate = (np.median(w[-recent:]) for w in (self.push_m_s2, self.tilt_rate_rad_s))
         while self.times_ns and t_ns - self.times_ns[-1] > 0.5e9 * self.dt_s:
             at_ns = self.times_ns[-1] + round(self.dt_s * 1e9)
             for window in (self.push_m_s2, self.tilt_rate_rad_s, self.x, self.sigma):
                 window[:-1] = window[1:]
+            self.push_m_s2[-1], self.tilt_rate_rad_s[-1] = push, tilt_rate
             self.times_ns.append(at_ns)
             self.vibration.append(self.vibration_m_s2)
 
@@ -173,7 +182,7 @@ class StepBank:
     def _level(self, post: int) -> int:
         """Vibration level for a kernel: from before the step, raised if it has grown since, within reason."""
         before = self.vibration[max(len(self.vibration) - 1 - post, 0)]
-        now = (max(self.vibration_fast, 0.0) / SECOND_DIFFERENCE_GAIN) ** 0.5
+        now = sqrt(max(self.vibration_fast, 0.0) / SECOND_DIFFERENCE_GAIN)
         level = max(before, min(now, 4 * before + 0.06))
         return min(bisect_left(VIBRATION_LEVELS_M_S2, 0.8 * level), len(VIBRATION_LEVELS_M_S2) - 1)
 

@@ -11,7 +11,7 @@ from math import sqrt
 
 from estimation.belief import Belief, Phase
 from estimation.chart import ControlChart
-from estimation.displacement_sensor import GATE_SIGMAS, Reading
+from estimation.displacement_sensor import GATE_SIGMAS, TRUST_SIGMAS, Reading
 from estimation.kernels import ACCEL_NOISE
 from estimation.mskf import LEVEL_DRIFT_M_S2, SPEED, Filter, P, V
 from estimation.orientation import IDENTITY, Quaternion, corrected, matrix, propagated
@@ -90,7 +90,8 @@ class Track:
     start_m: float = 0.0
     speed_checks: int = 0
     nis: float = 1.0
-    readings_in_move: int = 0
+    readings_in_move: int = 0  # or in the unexplained time
+    lost_in_move: bool = False  # the unexplained began while the ram moved
     ending: Ending | None = None
     acceleration_m_s2: float = 0.0
     innovation_m: float = float("nan")
@@ -154,7 +155,7 @@ class Track:
         elif self.phase is Phase.CRUISE:
             self.filter.cruise(step.dt_s, acceleration, step.vibration_m_s2)
         elif self.phase is Phase.FREE:
-            self.filter.free(step.dt_s, acceleration)
+            self.filter.free(step.dt_s, acceleration, step.vibration_m_s2)
         else:
             self.filter.burst(step.dt_s, acceleration)
             if self.phase is Phase.START and motion is not None:
@@ -188,7 +189,13 @@ class Track:
         if phase is Phase.CRUISE:
             self.filter.enter_cruise()
         elif phase is Phase.FREE:
+            self.lost_in_move = self.phase in moving
+            self.readings_in_move = 0
             self.filter.begin_free()
+        elif phase is Phase.REST and self.phase is Phase.FREE:
+            # Constant speed feels like rest: the ram may have gone on unnoticed, and may do so still.
+            if self.lost_in_move and self.readings_in_move < READINGS_FOR_EVIDENCE:
+                self.filter.lose_place()
         elif phase is Phase.REST and self.phase is Phase.STOP:
             self._end_move(step, settings)
         self.phase = phase
@@ -237,11 +244,11 @@ class Track:
         predicted, row = self.filter.displacement_prediction(lag_s)
         variance = self.filter.state.predicted_variance(row) + reading.variance_m2
         self.innovation_m = reading.value_m - predicted
-        self.gate_m = GATE_SIGMAS * sqrt(variance)
+        self.gate_m = (GATE_SIGMAS if reading.trusted else TRUST_SIGMAS) * sqrt(variance)
         accepted = abs(self.innovation_m) <= self.gate_m
         nis = min(self.innovation_m**2 / variance, GATE_SIGMAS**2)
         self.nis += 0.05 * (nis - self.nis)
-        if accepted:
+        if accepted and reading.trusted:
             self.readings_in_move += 1
             self.filter.state.measure(row, self.innovation_m, reading.variance_m2)
         return accepted

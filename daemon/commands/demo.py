@@ -24,13 +24,18 @@ def run(arguments: argparse.Namespace) -> int:
     """Play the demo; 1 if not every move was found."""
     from daemon import terminal
     from daemon.demo import demo_settings, run_demo
-    from daemon.errors import CommandError
+    from daemon.errors import CommandError, UsageError
     from daemon.plots import plot_demo
     from daemon.virtual import virtual_support
 
     if arguments.seed < 0:
-        raise CommandError("--seed must not be negative")
-    arguments.out.mkdir(parents=True, exist_ok=True)
+        raise UsageError("--seed must not be negative")
+    try:
+        arguments.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise CommandError(
+            f"cannot make the folder {arguments.out} ({error.strerror}): choose another --out"
+        ) from error
     recording, picture = arguments.out / "demo.mcap", arguments.out / "demo.png"
     settings = demo_settings(arguments.seed)
     with terminal.progress("virtual cycle", 1.0) as progress:

@@ -80,9 +80,7 @@ def _print(path: Path, reviewed: Review) -> None:
     if metadata.get("sensor"):
         say(f"sensor: {metadata['sensor']}")
     rate = result.samples / result.duration_s if result.duration_s else 0.0
-    say(
-        f"{result.duration_s:.1f} s, {result.samples} good samples ({rate:.1f} per second), {reviewed.lost} messages lost"
-    )
+    say(f"{result.duration_s:.1f} s, {result.samples} good samples ({rate:.1f}/s), {reviewed.lost} messages lost")
     same = {True: "reproduced bit for bit", False: "NOT reproduced", None: "none"}[result.identical]
     say(f"recorded estimates: {same}")
     for sentence in result.damage:
@@ -110,7 +108,7 @@ def _print(path: Path, reviewed: Review) -> None:
         errors = reviewed.reference
         say(
             f"against the reference ({errors.readings} readings): mean {errors.mean_mm:+.2f} mm, "
-            f"rms {errors.rms_mm:.2f} mm, worst {errors.worst_mm:+.2f} mm, {errors.inside_95:.1%} within the stated 95 %"
+            f"rms {errors.rms_mm:.2f} mm, worst {errors.worst_mm:+.2f} mm, {errors.inside_95:.1%} inside ± 1.96 σ"
         )
     else:
         say("no reference sensor in it")

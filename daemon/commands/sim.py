@@ -24,13 +24,13 @@ def run(arguments: argparse.Namespace) -> int:
     import asyncio
 
     from daemon.configuration import load
-    from daemon.errors import CommandError
+    from daemon.errors import UsageError
     from daemon.logs import configure_logging
     from daemon.simulation import simulate
 
     settings = load(arguments.config)
     if settings.imu.transport != "socket":
-        raise CommandError(f'{arguments.config}: sim serves imu.transport = "socket", not "{settings.imu.transport}"')
+        raise UsageError(f'{arguments.config}: sim serves imu.transport = "socket", not "{settings.imu.transport}"')
     configure_logging(verbose=False)
     asyncio.run(simulate(settings))
     return 0

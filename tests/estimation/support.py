@@ -10,16 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.adis16448.registers import ACCEL_LSB, GYRO_LSB_DPS
-from drivers.virtual.motion import SCENARIOS, PlannedMove, TrueMove, full_cycle
+from drivers.virtual.motion import SCENARIOS, PlannedMove, TrueMove
 from drivers.virtual.support import VirtualSupport
 from estimation.pipeline import Pipeline
 from estimation.records import Displacement, Estimate, Event, ImuSample, Move, Output, Record, Tier
+from estimation.settings import SupportSettings
 
 Floats = NDArray[np.float64]
 
 # The part's default filter: two averages of four samples in cascade.
 FILTER = np.convolve(np.full(4, 0.25), np.full(4, 0.25))
-SHORT = full_cycle(stroke_m=0.12)
+# A short support: the same bursts, less time between them.
+SHORT = (PlannedMove(10.0, 0.12, 0.01453), PlannedMove(10.0, 0.0, 0.03519))
+SHORT_SUPPORT = SupportSettings(stroke_mm=120)
 
 
 @dataclass(frozen=True)

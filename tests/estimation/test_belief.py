@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from estimation.belief import SEGMENT_OF, Belief, Free, Phase
@@ -72,8 +74,9 @@ def test_belief_follows_the_decisions_of_the_recogniser() -> None:
     [
         ([], [Free(12 * S)]),
         ([ENDED], [ENDED, Free(12 * S)]),
-        ([PUSH], [Free(12 * S)]),  # gives the move up from then on
-        ([Motion(1, 10 * S)], [Free(10 * S)]),  # an unproven one wholly
+        ([PUSH], [replace(PUSH, cut_ns=12 * S), Free(12 * S)]),  # cut: how it went on is not known
+        ([replace(PUSH, stop_ns=11 * S)], [replace(PUSH, cut_ns=12 * S), Free(12 * S)]),
+        ([Motion(1, 10 * S)], [Free(12 * S)]),  # an unproven one is forgotten
     ],
 )
 def test_unexplained_time_ends_a_move_that_went_on(
@@ -88,6 +91,17 @@ def test_unexplained_time_ends_a_move_that_went_on(
     belief.end_free(15 * S)
     assert belief.open_free is None
     assert belief.rests_since_ns() == 15 * S
+
+
+def test_a_cut_move_lasts_to_the_unexplained_time_and_not_beyond() -> None:
+    belief = Belief([PUSH])
+    belief.begin_free(12 * S)
+    belief.end_free(15 * S)
+    phases = [belief.phase_at(t)[0] for t in (9 * S, 10 * S, 11 * S, 12 * S, 14 * S, 15 * S, 90 * S)]
+    expected = [Phase.REST, Phase.START, Phase.CRUISE, Phase.FREE, Phase.FREE, Phase.REST, Phase.REST]
+    assert phases == expected
+    belief.forget_before(20 * S)
+    assert belief.items == [Free(12 * S, 15 * S)]
 
 
 def test_the_past_is_forgotten_but_for_the_last_item() -> None:

@@ -175,7 +175,8 @@ def test_quiet_sensor_is_trusted_again_when_the_estimate_takes_an_overrun_back()
         feed.read(0.1)
     assert feed.state is CanState.STUCK
     feed.p_m = 0.1
-    assert feed.read(0.1).usable
+    healed = [feed.read(0.1).usable for _ in range(STUCK_READINGS)]
+    assert healed == [False] * (STUCK_READINGS - 1) + [True]
     assert feed.state is CanState.OK
 
 
@@ -188,6 +189,26 @@ def test_stuck_sensor_stays_stuck_after_the_ram_has_stopped() -> None:
     for _ in range(50):
         assert not feed.read(0.1).usable
     assert feed.state is CanState.STUCK
+
+
+def test_stuck_sensor_is_not_healed_by_a_ram_that_passes_its_value() -> None:
+    feed = Feed()
+    feed.run(20)
+    for direction in (1, -1, 1):
+        for _ in range(60):
+            feed.p_m += direction * SPEED_M_S * PERIOD_S / 0.4  # as fast as a retract
+            feed.read(0.1)
+        assert feed.state is CanState.STUCK
+
+
+def test_biased_sensor_is_compared_but_not_trusted() -> None:
+    feed = Feed()
+    feed.run(20)
+    assert feed.read(0.101).trusted
+    biased(feed)
+    reading = feed.read(0.101)
+    assert reading.usable
+    assert not reading.trusted
 
 
 def test_one_outlier_makes_no_bias_and_one_good_reading_does_not_heal_one() -> None:

@@ -150,9 +150,10 @@ def test_a_known_burst_and_cruise_are_followed_to_the_end() -> None:
 def test_free_motion_integrates_with_great_doubt() -> None:
     filter_, x, p = drawn()
     filter_.begin_free()
-    filter_.free(DT, 1.5)
+    filter_.free(DT, 1.5, 2.0)
     f, u = integration(1.5)
-    p = f @ (p + 0.3**2 * unit(B, B)) @ f.T + 0.05**2 * DT * unit(V, V)
+    # Shaking of 2 m/s^2 that differs from block to block puts 2 m/s^2 * dt on the velocity of each.
+    p = f @ (p + 0.3**2 * unit(B, B)) @ f.T + (0.05**2 * DT + (2.0 * DT) ** 2) * unit(V, V)
     forget = np.eye(N) + (math.exp(-DT / 2.0) - 1) * unit(V, V)
     assert_is(filter_, forget @ (f @ x + u), forget @ p @ forget)
 
@@ -174,7 +175,7 @@ def test_long_ignorance_is_admitted_and_stays_bounded(kind: str) -> None:
     sigmas = []
     for _ in range(2000):
         if kind == "free":
-            filter_.free(0.1, 0.5)
+            filter_.free(0.1, 0.5, 0.0)
         else:
             filter_.blind(0.1)
         sigmas.append(filter_.state.sigma(P))

@@ -1,0 +1,67 @@
+"""The unit of systemd fits the program: where it writes, what it tells systemd, and when it is started again."""
+
+from __future__ import annotations
+
+import configparser
+import shlex
+from pathlib import Path
+
+import pytest
+
+from daemon import cli
+from daemon.errors import FAILED, MISUSED
+from daemon.settings import Settings
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def unit() -> configparser.ConfigParser:
+    parser = configparser.ConfigParser(strict=False, interpolation=None, delimiters=("=",))
+    parser.optionxform = str  # type: ignore[assignment,method-assign]  # systemd minds the case
+    assert parser.read(ROOT / "systemd" / "ramstroke.service") != []
+    return parser
+
+
+def test_a_failed_run_is_started_again_within_limits(unit: configparser.ConfigParser) -> None:
+    assert unit["Service"]["Restart"] == "on-failure"
+    assert int(unit["Service"]["RestartSec"]) > 0
+    assert int(unit["Unit"]["StartLimitBurst"]) * int(unit["Service"]["RestartSec"]) < int(
+        unit["Unit"]["StartLimitIntervalSec"]
+    ), "otherwise the limit is never reached"
+
+
+def test_a_bad_configuration_is_not_started_again_but_another_failure_is(
+    unit: configparser.ConfigParser, tmp_path: Path
+) -> None:
+    final = {int(code) for code in unit["Service"]["RestartPreventExitStatus"].split()}
+    assert final == {MISUSED}
+    assert FAILED not in final
+    broken = tmp_path / "broken.toml"
+    broken.write_text("[imu]\nspi_port = 1\n")
+    _, command, *options = shlex.split(unit["Service"]["ExecStart"])
+    assert cli.main([command, *options[:-1], str(broken)]) in final
+
+
+def test_it_starts_the_daemon_with_the_installed_configuration(unit: configparser.ConfigParser) -> None:
+    assert unit["Service"]["ExecStart"].split() == [
+        "/opt/ramstroke/bin/ramstroke",
+        "run",
+        "--config",
+        "/etc/ramstroke/ramstroke.toml",
+    ]
+    assert unit["Service"]["User"] == "ramstroke"
+
+
+def test_the_program_reports_readiness_and_signs_of_life(unit: configparser.ConfigParser) -> None:
+    assert unit["Service"]["Type"] == "notify"
+    assert int(unit["Service"]["WatchdogSec"]) == 10
+
+
+def test_the_default_paths_lie_in_the_folders_that_systemd_makes(unit: configparser.ConfigParser) -> None:
+    runtime = Path("/run") / unit["Service"]["RuntimeDirectory"]
+    state = Path("/var/lib") / unit["Service"]["StateDirectory"]
+    settings = Settings()
+    assert settings.service.socket.is_relative_to(runtime)
+    assert settings.service.state_file.is_relative_to(state)
+    assert settings.recording.directory.is_relative_to(state)
