@@ -8,6 +8,7 @@ import json
 import logging
 import signal
 import sys
+import threading
 import time
 from collections.abc import Coroutine
 from dataclasses import asdict
@@ -72,6 +73,7 @@ class Application:
         self._publish_due_ns = 0
         self._live_due_ns = 0
         self._steps = 0
+        self._state_lock = threading.Lock()
         self._loop_late_s = 0.0
         self._loop: asyncio.AbstractEventLoop | None = None
         self._failure: BaseException | None = None
@@ -120,12 +122,16 @@ class Application:
         task = asyncio.ensure_future(work)
 
         def ended(task: asyncio.Task[None]) -> None:
-            if not task.cancelled() and task.exception() is not None:
-                self._failure = task.exception()
-                self.stop()
+            if not task.cancelled() and (error := task.exception()) is not None:
+                self._fail(error)
 
         task.add_done_callback(ended)
         return task
+
+    def _fail(self, error: BaseException) -> None:
+        """End the run with `error`; the first one counts."""
+        self._failure = self._failure or error
+        self.stop()
 
     async def _shut_down(self, tasks: list[asyncio.Task[None]]) -> None:
         await asyncio.to_thread(self._imu.stop)
@@ -133,8 +139,9 @@ class Application:
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
-        self._stream.finish()
-        self._write_state()
+        if self._failure is None:  # else the estimator may be what failed
+            self._stream.finish()
+            self._write_state()
         await self._live.close()
         if not await asyncio.to_thread(self._recorder.close):
             _log.error("the disk did not answer: the end of the recording is lost")
@@ -148,12 +155,13 @@ class Application:
             self._loop.call_soon_threadsafe(self._take_block, block)
 
     def _take_block(self, block: list[Burst]) -> None:
+        if self._failure is not None:
+            return
         try:
             for burst in block:
                 self._stream.take(topics.IMU_RAW, burst)
         except Exception as error:
-            self._failure = error
-            self.stop()
+            self._fail(error)
 
     def _take_frame(self, frame: Frame) -> None:
         self._stream.take(topics.CAN_RX, frame)
@@ -190,12 +198,12 @@ class Application:
         t_ns = estimate.t_ns
         settings = self._settings.can.publish
         if self._bus is not None and settings.enabled and t_ns >= self._publish_due_ns:
-            self._publish_due_ns = max(self._publish_due_ns + round(settings.period_ms * 1e6), t_ns)
+            self._publish_due_ns = _next_due_ns(self._publish_due_ns, round(settings.period_ms * 1e6), t_ns)
             frame = self._encoder.encode(estimate)
             if self._bus.send(frame):
                 self._recorder.write(topics.CAN_TX, frame)
         if t_ns >= self._live_due_ns:
-            self._live_due_ns = max(self._live_due_ns + round(LIVE_ESTIMATE_S * 1e9), t_ns)
+            self._live_due_ns = _next_due_ns(self._live_due_ns, round(LIVE_ESTIMATE_S * 1e9), t_ns)
             self._live.push("estimate", estimate_row(estimate))
 
     def _preamble(self) -> Preamble:
@@ -218,7 +226,7 @@ class Application:
 
     async def _watch_health(self) -> None:
         """Once a second: a record, a line for viewers and systemd; the watchdog only if data have moved."""
-        steps_seen = 0
+        moved_before = self._moved()
         while True:
             await asyncio.sleep(HEALTH_S)
             health = self._health()
@@ -226,10 +234,17 @@ class Application:
             self._recorder.write(topics.HEALTH, Health(now_ns, json.dumps(health)))
             self._live.push("status", health)
             self._notifier.status(_status_line(health))
-            if self._steps != steps_seen:
-                steps_seen = self._steps
+            moved = self._moved()
+            # Estimates alone prove nothing: they go on, blind, when all sensors are dead.
+            if moved[0] != moved_before[0] and moved[1] != moved_before[1]:
                 self._notifier.watchdog()
+            moved_before = moved
             self._loop_late_s = 0.0
+
+    def _moved(self) -> tuple[int, int]:
+        """What came in so far, and the estimates made of it."""
+        frames = 0 if self._bus is None else self._bus.counters.received
+        return self._stream.samples + frames, self._steps
 
     def _health(self) -> dict[str, Any]:
         health: dict[str, Any] = {
@@ -278,7 +293,8 @@ class Application:
             at_rest=last.segment is Segment.ZUPT,
         )
         try:
-            state_file.save(self._settings.service.state_file, saved)
+            with self._state_lock:  # at the end the last periodic writing may still be under way
+                state_file.save(self._settings.service.state_file, saved)
         except OSError as error:
             _log.warning("cannot write %s: %s", self._settings.service.state_file, error.strerror)
 
@@ -289,6 +305,11 @@ def _settle_process() -> None:
     gc.freeze()
     gc.set_threshold(50_000, 50, 1000)
     sys.setswitchinterval(SWITCH_INTERVAL_S)
+
+
+def _next_due_ns(due_ns: int, period_ns: int, now_ns: int) -> int:
+    """Keeps the pace on average although steps come when they come; after a pause it begins anew."""
+    return due_ns + period_ns if now_ns - due_ns < period_ns else now_ns + period_ns
 
 
 def _recorder_health(recorder: Recorder, enabled: bool) -> dict[str, Any]:

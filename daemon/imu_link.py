@@ -15,7 +15,7 @@ from drivers.adis16448.configuration import ImuSettings
 from drivers.adis16448.device import Adis16448, Identity, ImuError
 from drivers.clock import Clock
 from drivers.data_ready import DataReady, DataReadyError, GpiodDataReady, PacedDataReady
-from drivers.spi import SpidevTransport, SpiError, SpiTransport
+from drivers.spi import SpidevTransport, SpiTransport
 
 if TYPE_CHECKING:
     from drivers.virtual.support import VirtualSupport
@@ -43,9 +43,7 @@ def open_ports(settings: ImuSettings, clock: Clock, support: VirtualSupport | No
         from drivers.virtual.spi_socket import SocketDataReady, SocketTransport
 
         path = settings.socket_path
-        return _both(
-            SocketTransport(path), lambda: SocketDataReady(path, pin=pin, active_high=active_high)
-        )
+        return _both(SocketTransport(path), lambda: SocketDataReady(path, pin=pin, active_high=active_high))
     spi, chip, line = SpidevTransport(settings.spi_device), settings.data_ready_chip, settings.data_ready_line
     if line is None:
         return spi, PacedDataReady(clock, settings.nominal_period_s)

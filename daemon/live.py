@@ -86,9 +86,7 @@ class LiveServer:
             self._path.chmod(0o660)
         except OSError as error:
             reason = error.strerror or error
-            raise OSError(
-                f"cannot serve viewers on {self._path} ({reason}): correct service.socket"
-            ) from error
+            raise OSError(f"cannot serve viewers on {self._path} ({reason}): correct service.socket") from error
 
     async def close(self) -> None:
         """Hang up on everybody and remove the socket."""

@@ -6,19 +6,15 @@ were handed over. All that it remembers is one tree of plain data, `PipelineStat
 
 from __future__ import annotations
 
-from collections import deque
-from dataclasses import dataclass, field, replace
-from functools import cache
+from dataclasses import replace
 from math import log, sqrt
-from typing import ClassVar
 
-from pydantic import ConfigDict, TypeAdapter
-
-from estimation.belief import SEGMENT_OF, Belief, Phase
-from estimation.blocks import SAMPLES_PER_STEP, BlockCutter
-from estimation.displacement_sensor import STUCK_READINGS, DisplacementSensor, Reading
+from estimation.belief import SEGMENT_OF, Phase
+from estimation.blocks import SAMPLES_PER_STEP
+from estimation.displacement_sensor import STUCK_READINGS
 from estimation.mount import Mount
-from estimation.mskf import SPEED, Filter, P, V
+from estimation.mskf import SPEED, P, V
+from estimation.pipeline_state import PipelineState, Start
 from estimation.records import (
     CanState,
     Displacement,
@@ -32,12 +28,12 @@ from estimation.records import (
     Tick,
     Tier,
 )
-from estimation.segments import CONFIRM_START, Context, Decision, Motion, SegmentRecogniser
+from estimation.segments import CONFIRM_START, Context, Decision, Motion
 from estimation.settings import EstimatorSettings, MountSettings, SupportSettings
-from estimation.slope import Slope
 from estimation.steps import Block, StepBank
-from estimation.supervision import Supervisor
 from estimation.track import Step, Track
+
+__all__ = ["Pipeline", "Start"]
 
 NOMINAL_RATE_HZ = 819.2
 LAG_S = 4.0  # the settled tier runs so far behind; every decision is taken within it
@@ -45,54 +41,8 @@ WARM_UP_S = 3.0  # gyro bias and level must be known before a burst can be told 
 SILENT_IMU_S = 0.25
 SENSOR_CHANCE_S = 2.0
 UPSET_LOOK_BACK_S = 0.5  # an unexplained motion began before it was too large to explain
-KNOWN_START_SIGMA_M = 0.0005
 FORBIDDEN_M, FORBIDDEN_SIGMA_M = 0.015, 0.03  # from an end of the stroke, and how well that must be known
 PERIOD_STEPS = 1.1  # kernels fit step periods within 5 %; they are built on this geometric grid
-
-
-@dataclass(slots=True, frozen=True)
-class Start:
-    """What is known of the stroke before the first record; None = undetermined.
-
-    `only_without_sensor`: believe it only if no displacement reading comes within the first seconds. A saved
-    stroke may be wrong if the ram moved while nobody watched; the sensor then knows better.
-    """
-
-    displacement_m: float | None = None
-    sigma_m: float = KNOWN_START_SIGMA_M
-    only_without_sensor: bool = False
-
-
-@dataclass(slots=True)
-class PipelineState:
-    """Everything the pipeline remembers."""
-
-    # A reading without a value is NaN, which JSON proper cannot say.
-    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(ser_json_inf_nan="constants")
-
-    settled: Track
-    head: Track
-    sensor: DisplacementSensor
-    cutter: BlockCutter = field(default_factory=BlockCutter)
-    bank: StepBank | None = None
-    recogniser: SegmentRecogniser = field(default_factory=SegmentRecogniser)
-    supervisor: Supervisor = field(default_factory=Supervisor)
-    slope: Slope = field(default_factory=Slope)
-    belief: Belief = field(default_factory=Belief)
-    buffer: deque[Step] = field(default_factory=deque)
-    pending: list[Reading] = field(default_factory=list)
-    waiting_start: Start | None = None  # to be believed if no sensor speaks
-    first_ns: int | None = None
-    last_ns: int = 0  # end of the last step
-    moves: int = 0
-    can_state: CanState = CanState.ABSENT
-    can_states: deque[CanState] = field(default_factory=deque)  # beside `buffer`
-    worst_in_move: CanState = CanState.ABSENT
-
-
-@cache
-def _state_adapter() -> TypeAdapter[PipelineState]:
-    return TypeAdapter(PipelineState)
 
 
 class Pipeline:
@@ -110,25 +60,7 @@ class Pipeline:
         self._support = support or SupportSettings()
         self._settings = estimator or EstimatorSettings()
         self._latency_s = latency_s
-        stroke_m = self._support.stroke_mm / 1e3
-        start = start or Start()
-        waiting = start if start.only_without_sensor else None
-        start = Start() if start.only_without_sensor else start
-        known = start.displacement_m is not None
-        track = Track.begin(
-            Filter.start(
-                p_m=start.displacement_m if start.displacement_m is not None else stroke_m / 2,
-                p_sigma_m=start.sigma_m if known else stroke_m / sqrt(12.0),
-                scale_sigma=self._settings.can_scale_sigma,
-                offset_sigma_m=self._settings.can_offset_sigma_mm / 1e3,
-                bow_sigma_m=self._settings.can_curvature_sigma_mm / 1e3,
-                stroke_m=stroke_m,
-            ),
-            self._support,
-            self._settings,
-        )
-        sensor = DisplacementSensor((self._settings.can_noise_mm / 1e3) ** 2, stroke_m)
-        self.state = PipelineState(settled=track, head=track.copy(), sensor=sensor, waiting_start=waiting)
+        self.state = PipelineState.begin(self._support, self._settings, start or Start())
 
     @staticmethod
     def prepare() -> None:
@@ -139,11 +71,11 @@ class Pipeline:
 
     def snapshot(self) -> bytes:
         """All that is remembered, as JSON; floats survive exactly."""
-        return _state_adapter().dump_json(self.state)
+        return self.state.dump()
 
     def restore(self, snapshot: bytes) -> None:
         """Continue from a snapshot. Raises pydantic.ValidationError on foreign or damaged bytes."""
-        self.state = _state_adapter().validate_json(snapshot)
+        self.state = PipelineState.load(snapshot)
 
     # --- the stream -------------------------------------------------------------------------------------------
 

@@ -31,7 +31,10 @@ TAPS = _level_2_taps("coif1")
 class CausalSmoother:
     """Remembers just as many vectors as the filter is long."""
 
-    recent: deque[Vector] = field(default_factory=lambda: deque(maxlen=len(TAPS)))
+    recent: deque[Vector] = field(default_factory=deque)
+
+    def __post_init__(self) -> None:
+        self.recent = deque(self.recent, maxlen=len(TAPS))  # a snapshot forgets the bound
 
     def add(self, v: Vector) -> None:
         """Take the next sample."""

@@ -31,5 +31,5 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json:
         terminal.print_json({"file": str(arguments.file), "good": True, "faults": []})
     else:
-        terminal.OUT.print(f"{arguments.file}: good", highlight=False)
+        terminal.say(f"{arguments.file}: good")
     return 0

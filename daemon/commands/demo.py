@@ -82,7 +82,7 @@ def run(arguments: argparse.Namespace) -> int:
             row["can_state"],
         )
     terminal.OUT.print(made)
-    terminal.OUT.print(f"recording {recording}, picture {picture}", highlight=False)
+    terminal.say(f"recording {recording}, picture {picture}")
     if not found:
         terminal.ERR.print(f"{len(result.moves)} of {len(result.truth)} moves were found", style="bold red")
     return 0 if found else 1

@@ -42,13 +42,11 @@ def run(arguments: argparse.Namespace) -> int:
             }
         )
         return 0
-    out = terminal.OUT
-    out.print(
-        f"{report.rows} samples over {report.duration_s:.1f} s ({report.rate_hz:.1f} per second) in {arguments.output}",
-        highlight=False,
+    terminal.say(
+        f"{report.rows} samples over {report.duration_s:.1f} s ({report.rate_hz:.1f} per second) in {arguments.output}"
     )
     for reason, count in (report.dropped | report.dropped_values).items():
-        out.print(f"dropped: {count} × {reason}", highlight=False)
+        terminal.say(f"dropped: {count} × {reason}")
     if report.ignored:
-        out.print(f"ignored columns: {', '.join(report.ignored)}", highlight=False)
+        terminal.say(f"ignored columns: {', '.join(report.ignored)}")
     return 0

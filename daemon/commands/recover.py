@@ -26,10 +26,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json:
         terminal.print_json({"messages": report.messages, "lost": report.lost, "damage": report.damage})
         return 0
-    terminal.OUT.print(
-        f"{report.messages} messages saved, {report.lost} known to be lost, in {arguments.output}",
-        highlight=False,
-    )
+    terminal.say(f"{report.messages} messages saved, {report.lost} known to be lost, in {arguments.output}")
     for sentence in report.damage:
-        terminal.OUT.print(f"- {sentence}", highlight=False)
+        terminal.say(f"- {sentence}")
     return 0

@@ -39,7 +39,7 @@ def run(arguments: argparse.Namespace) -> int:
             progress=progress,
         )
     for sentence in result.damage:
-        terminal.ERR.print(f"{arguments.file}: {sentence}", highlight=False)
+        terminal.ERR.print(f"{arguments.file}: {sentence}", highlight=False, markup=False)
     if arguments.json:
         terminal.print_json(
             {
@@ -54,10 +54,9 @@ def run(arguments: argparse.Namespace) -> int:
         )
         return 0
     same = {True: "reproduced bit for bit", False: "NOT reproduced", None: "none recorded"}[result.identical]
-    terminal.OUT.print(
+    terminal.say(
         f"{result.samples} samples, {result.duration_s:.1f} s, {result.realtime_factor:.0f} × real time; "
-        f"recorded estimates: {same}",
-        highlight=False,
+        f"recorded estimates: {same}"
     )
     terminal.print_moves(result.moves)
     return 0

@@ -24,11 +24,16 @@ def unit() -> configparser.ConfigParser:
 
 
 def test_a_failed_run_is_started_again_within_limits(unit: configparser.ConfigParser) -> None:
+    burst, interval_s = int(unit["Unit"]["StartLimitBurst"]), int(unit["Unit"]["StartLimitIntervalSec"])
+    pause_s = int(unit["Service"]["RestartSec"])
     assert unit["Service"]["Restart"] == "on-failure"
-    assert int(unit["Service"]["RestartSec"]) > 0
-    assert int(unit["Unit"]["StartLimitBurst"]) * int(unit["Service"]["RestartSec"]) < int(
-        unit["Unit"]["StartLimitIntervalSec"]
-    ), "otherwise the limit is never reached"
+    assert 0 < burst * pause_s < interval_s, "a program that fails at once must reach the limit"
+
+
+def test_a_switched_off_support_does_not_end_the_service(unit: configparser.ConfigParser) -> None:
+    burst, interval_s = int(unit["Unit"]["StartLimitBurst"]), int(unit["Unit"]["StartLimitIntervalSec"])
+    from_watchdog_to_watchdog_s = int(unit["Service"]["WatchdogSec"]) + int(unit["Service"]["RestartSec"])
+    assert burst * from_watchdog_to_watchdog_s > interval_s
 
 
 def test_a_bad_configuration_is_not_started_again_but_another_failure_is(

@@ -1,0 +1,104 @@
+"""Everything that the pipeline remembers, as one tree of plain data that survives as JSON."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+from functools import cache
+from math import sqrt
+from typing import ClassVar
+
+from pydantic import ConfigDict, TypeAdapter
+
+from estimation.belief import Belief
+from estimation.blocks import BlockCutter
+from estimation.displacement_sensor import DisplacementSensor, Reading
+from estimation.mskf import Filter
+from estimation.records import CanState
+from estimation.segments import SegmentRecogniser
+from estimation.settings import EstimatorSettings, SupportSettings
+from estimation.slope import Slope
+from estimation.steps import StepBank
+from estimation.supervision import Supervisor
+from estimation.track import Step, Track
+
+KNOWN_START_SIGMA_M = 0.0005
+
+
+@dataclass(slots=True, frozen=True)
+class Start:
+    """What is known of the stroke before the first record; None = undetermined.
+
+    `only_without_sensor`: believe it only if no displacement reading comes within the first seconds. A saved
+    stroke may be wrong if the ram moved while nobody watched; the sensor then knows better.
+    """
+
+    displacement_m: float | None = None
+    sigma_m: float = KNOWN_START_SIGMA_M
+    only_without_sensor: bool = False
+
+
+@dataclass(slots=True)
+class PipelineState:
+    """The whole memory; the two tracks differ only in how far along the buffer they are."""
+
+    # A reading without a value is NaN, which JSON proper cannot say.
+    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(ser_json_inf_nan="constants")
+
+    settled: Track
+    head: Track
+    sensor: DisplacementSensor
+    cutter: BlockCutter = field(default_factory=BlockCutter)
+    bank: StepBank | None = None
+    recogniser: SegmentRecogniser = field(default_factory=SegmentRecogniser)
+    supervisor: Supervisor = field(default_factory=Supervisor)
+    slope: Slope = field(default_factory=Slope)
+    belief: Belief = field(default_factory=Belief)
+    buffer: deque[Step] = field(default_factory=deque)
+    pending: list[Reading] = field(default_factory=list)
+    waiting_start: Start | None = None  # to be believed if no sensor speaks
+    first_ns: int | None = None
+    last_ns: int = 0  # end of the last step
+    moves: int = 0
+    can_state: CanState = CanState.ABSENT
+    can_states: deque[CanState] = field(default_factory=deque)  # beside `buffer`
+    worst_in_move: CanState = CanState.ABSENT
+
+    @classmethod
+    def begin(cls, support: SupportSettings, settings: EstimatorSettings, start: Start) -> PipelineState:
+        """Before the first record."""
+        stroke_m = support.stroke_mm / 1e3
+        believed = Start() if start.only_without_sensor else start
+        known = believed.displacement_m is not None
+        track = Track.begin(
+            Filter.start(
+                p_m=stroke_m / 2 if believed.displacement_m is None else believed.displacement_m,
+                p_sigma_m=believed.sigma_m if known else stroke_m / sqrt(12.0),
+                scale_sigma=settings.can_scale_sigma,
+                offset_sigma_m=settings.can_offset_sigma_mm / 1e3,
+                bow_sigma_m=settings.can_curvature_sigma_mm / 1e3,
+                stroke_m=stroke_m,
+            ),
+            support,
+            settings,
+        )
+        return cls(
+            settled=track,
+            head=track.copy(),
+            sensor=DisplacementSensor((settings.can_noise_mm / 1e3) ** 2, stroke_m),
+            waiting_start=start if start.only_without_sensor else None,
+        )
+
+    def dump(self) -> bytes:
+        """As JSON; floats survive exactly."""
+        return _adapter().dump_json(self)
+
+    @staticmethod
+    def load(snapshot: bytes) -> PipelineState:
+        """From JSON. Raises pydantic.ValidationError on foreign or damaged bytes."""
+        return _adapter().validate_json(snapshot)
+
+
+@cache
+def _adapter() -> TypeAdapter[PipelineState]:
+    return TypeAdapter(PipelineState)
