@@ -49,7 +49,7 @@ class _Viewer:
                     await self._writer.drain()
 
     def hang_up(self) -> None:
-        self._writer.close()
+        self._writer.transport.abort()  # `close` would wait for a viewer that does not read
 
 
 def _line(kind: str, content: dict[str, Any]) -> bytes:
@@ -95,6 +95,8 @@ class LiveServer:
         self._server.close()
         for viewer in list(self._viewers):
             viewer.hang_up()
+        while self._viewers:  # their tasks must not outlive the loop
+            await asyncio.sleep(0)
         with suppress(OSError):
             self._path.unlink()
 

@@ -19,6 +19,9 @@ Sink = Callable[[str, Recorded], None]
 # What a replay feeds again; everything else in a recording follows from these.
 INPUTS = (topics.IMU_RAW, topics.IMU_SAMPLE, topics.CAN_RX, topics.OBSERVED, topics.REFERENCE, topics.TICK)
 
+# Beyond any inertial sensor (rad/s, m/s^2); only a damaged file or table holds more.
+_LARGEST_READING = 1e4
+
 
 class Stream:
     """Takes every received record once, in order, and gives it and what follows from it to the sink.
@@ -42,10 +45,11 @@ class Stream:
             settings.support,
             settings.estimator,
             latency_s=settings.can.displacement.latency_ms / 1e3,
+            timeout_s=settings.can.displacement.timeout_ms / 1e3,
             start=start,
         )
         self.samples = 0  # good inertial samples
-        self.bad_bursts = 0
+        self.bad_bursts = 0  # and impossible samples
         self.last_sample_ns: int | None = None
         self.last: Estimate | None = None  # provisional
 
@@ -58,7 +62,10 @@ class Stream:
                 return
             self._feed_sample(self._imu.sample(record))
         elif isinstance(record, ImuSample):
-            self._feed_sample(record)
+            if all(abs(value) < _LARGEST_READING for value in record.gyro + record.accel):
+                self._feed_sample(record)
+            else:
+                self.bad_bursts += 1
         elif isinstance(record, Frame):
             self._take_frame(record)
         elif isinstance(record, RecordedDisplacement):

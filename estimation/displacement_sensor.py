@@ -13,7 +13,7 @@ STUCK_READINGS = 6  # identical in a row ...
 STUCK_TRAVEL_M = 0.003  # ... while the piston must have moved this far
 BIASED_READINGS = 8  # outside the gate in a row, and inside it again to be trusted
 LATE_PERIODS, LATE_S = 3.0, 0.15
-SILENT_PERIODS, SILENT_S = 10.0, 1.0
+LONGEST_PERIOD_S = 1.0  # a longer pause tells nothing of the source's rate
 MARGIN_M = 0.04  # beyond the stroke: scale and offset are not known yet
 NOISE_FLOOR_M = 0.0003  # half a millimetre of resolution, uniform
 NOISE_MEMORY = 100  # readings
@@ -39,6 +39,7 @@ class DisplacementSensor:
 
     noise_m2: float
     stroke_m: float
+    timeout_s: float = 0.5  # silent after this long
     noise_readings: float = 10.0  # weight of the prior
     last_ns: int | None = None
     last_value_m: float = 0.0
@@ -58,7 +59,7 @@ class DisplacementSensor:
         """Take one reading in, with what the estimator expects of it; says whether it may be used."""
         if self.last_ns is not None:
             gap_s = (reading.t_ns - self.last_ns) * 1e-9
-            if 0 < gap_s < SILENT_S:
+            if 0 < gap_s < LONGEST_PERIOD_S:
                 self.period_s += 0.1 * (gap_s - self.period_s)
         first = self.last_ns is None
         self.last_ns = reading.t_ns
@@ -100,7 +101,7 @@ class DisplacementSensor:
         if self.last_ns is None:
             return CanState.ABSENT
         age_s = (t_ns - self.last_ns) * 1e-9
-        if age_s > max(SILENT_S, SILENT_PERIODS * self.period_s):
+        if age_s > self.timeout_s:
             return CanState.SILENT
         for ill, word in (
             (self.invalid, CanState.INVALID),

@@ -7,13 +7,14 @@ were handed over. All that it remembers is one tree of plain data, `PipelineStat
 from __future__ import annotations
 
 from dataclasses import replace
-from math import log, sqrt
+from math import acos, degrees, log, sqrt
 
 from estimation.belief import SEGMENT_OF, Phase
 from estimation.blocks import SAMPLES_PER_STEP
 from estimation.displacement_sensor import STUCK_READINGS
 from estimation.mount import Mount
 from estimation.mskf import SPEED, P, V
+from estimation.orientation import matrix
 from estimation.pipeline_state import PipelineState, Start
 from estimation.records import (
     CanState,
@@ -42,6 +43,7 @@ SILENT_IMU_S = 0.25
 SENSOR_CHANCE_S = 2.0
 UPSET_LOOK_BACK_S = 0.5  # an unexplained motion began before it was too large to explain
 FORBIDDEN_M, FORBIDDEN_SIGMA_M = 0.015, 0.03  # from an end of the stroke, and how well that must be known
+LEAST_UPRIGHT = 0.7  # cosine: a face dips, but not by 45 degrees
 PERIOD_STEPS = 1.1  # kernels fit step periods within 5 %; they are built on this geometric grid
 
 
@@ -54,13 +56,16 @@ class Pipeline:
         support: SupportSettings | None = None,
         estimator: EstimatorSettings | None = None,
         latency_s: float = 0.0175,
+        timeout_s: float = 0.5,
         start: Start | None = None,
     ) -> None:
-        self._mount = Mount(mount or MountSettings())
+        mount = mount or MountSettings()
+        self._mount = Mount(mount)
+        self._imu_on = mount.imu_on
         self._support = support or SupportSettings()
         self._settings = estimator or EstimatorSettings()
         self._latency_s = latency_s
-        self.state = PipelineState.begin(self._support, self._settings, start or Start())
+        self.state = PipelineState.begin(self._support, self._settings, start or Start(), timeout_s)
 
     @staticmethod
     def prepare() -> None:
@@ -144,7 +149,9 @@ class Pipeline:
         if silent_s >= SILENT_IMU_S and s.belief.open_free is None:
             self._go_free(s.last_ns)
             s.bank = None  # what it saw no longer joins what it will see
-            out.append(Event(t_ns, "the inertial sensor is silent: the displacement sensor leads"))
+            out.append(
+                Event(t_ns, "the inertial sensor is silent: only the displacement sensor can tell the stroke now")
+            )
         zero = (0.0, 0.0, 0.0)
         self._take(Step(t_ns, silent_s, zero, zero, zero, blind=True), out)
 
@@ -175,8 +182,11 @@ class Pipeline:
                 out.append(self._summary())
         else:
             for accepted in self._advance(s.head, step):
-                s.sensor.gated(accepted)
+                if accepted or self._imu_on == "both" or s.head.phase is not Phase.REST:
+                    s.sensor.gated(accepted)
+                # Else the ram may make a move that the sensor cannot feel: no reason to doubt the reading.
             self._supervise(step, out)
+        self._check_mount(step, out)
         out.append(self._estimate(s.head, step, s.can_state, Tier.PROVISIONAL))
         self._settle(out, until_ns=step.t_ns - round(LAG_S * 1e9))
 
@@ -212,6 +222,19 @@ class Pipeline:
             return None
         return s.recogniser.update(step.t_ns, steps, bank, self._context())
 
+    def _check_mount(self, step: Step, out: list[Output]) -> None:
+        """Say once if gravity does not lie where the mount says that up is."""
+        s = self.state
+        assert s.first_ns is not None
+        if not s.mount_checked and step.t_ns - s.first_ns > WARM_UP_S * 1e9:
+            s.mount_checked = True
+            upright = matrix(s.head.orientation)[2][2]
+            if s.head.gravity_m_s2 > 0 and upright < LEAST_UPRIGHT:
+                tilt_deg = degrees(acos(max(upright, -1.0)))
+                out.append(
+                    Event(step.t_ns, f"the sensor is tilted by {tilt_deg:.0f} degrees: check [mount] push and up")
+                )
+
     def _bank(self, step: Step) -> StepBank:
         """The kernels, built for this source's own step period once that is known."""
         s = self.state
@@ -232,8 +255,8 @@ class Pipeline:
         return Context(
             push_speed=s.head.push.speed,
             retract_speed=s.head.retract.speed,
-            push_forbidden=known and p > stroke_m - FORBIDDEN_M,
-            retract_forbidden=known and p < FORBIDDEN_M,
+            push_forbidden=self._imu_on == "base" or (known and p > stroke_m - FORBIDDEN_M),
+            retract_forbidden=self._imu_on == "link" or (known and p < FORBIDDEN_M),
             end_expected=abs(p - end_m) < near_m,
         )
 

@@ -60,12 +60,15 @@ class PipelineState:
     first_ns: int | None = None
     last_ns: int = 0  # end of the last step
     moves: int = 0
+    mount_checked: bool = False
     can_state: CanState = CanState.ABSENT
     can_states: deque[CanState] = field(default_factory=deque)  # beside `buffer`
     worst_in_move: CanState = CanState.ABSENT
 
     @classmethod
-    def begin(cls, support: SupportSettings, settings: EstimatorSettings, start: Start) -> PipelineState:
+    def begin(
+        cls, support: SupportSettings, settings: EstimatorSettings, start: Start, timeout_s: float
+    ) -> PipelineState:
         """Before the first record."""
         stroke_m = support.stroke_mm / 1e3
         believed = Start() if start.only_without_sensor else start
@@ -85,7 +88,7 @@ class PipelineState:
         return cls(
             settled=track,
             head=track.copy(),
-            sensor=DisplacementSensor((settings.can_noise_mm / 1e3) ** 2, stroke_m),
+            sensor=DisplacementSensor((settings.can_noise_mm / 1e3) ** 2, stroke_m, timeout_s),
             waiting_start=start if start.only_without_sensor else None,
         )
 

@@ -26,6 +26,7 @@ CHART_QUIET_S = 0.5
 HEALTHY_NIS = 3.0
 READINGS_FOR_EVIDENCE = 10
 STOP_NEAR_SIGMAS, STOP_NEAR_M = 3.0, 0.004
+BEYOND_SIGMAS, BEYOND_M = 4.0, 0.01  # behind a mechanical stop
 
 
 @dataclass(slots=True)
@@ -220,6 +221,8 @@ class Track:
         self.filter.stopped(step.vibration_m_s2)
         state = self.filter.state
         before_m, sigma_before_m = state.x[P], state.sigma(P)
+        if max(-before_m, before_m - self.filter.stroke_m) > BEYOND_M + BEYOND_SIGMAS * sigma_before_m:
+            self.filter.lose_place()  # no ram goes there: a move before was missed, or was none
         stop_m = self._stop_reached(before_m, sigma_before_m) if settings.stop_constraint else None
         if stop_m is not None:
             self.filter.at_stop(stop_m, settings.stop_sigma_mm / 1e3)

@@ -2,8 +2,51 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
+import json
+import shutil
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
 import pytest
+
+from daemon.cli import main
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--rebase", action="store_true", help="store what the regression recordings give now")
+
+
+@dataclass(frozen=True)
+class DemoRun:
+    """One run of `ramstroke demo --seed 1 --json`."""
+
+    folder: Path
+    code: int
+    report: dict[str, Any]
+
+    @property
+    def recording(self) -> Path:
+        return self.folder / "demo.mcap"
+
+
+@pytest.fixture(scope="session")
+def demo_run(tmp_path_factory: pytest.TempPathFactory) -> DemoRun:
+    """A whole push and retract, measured once for all tests; nobody changes the files."""
+    folder = tmp_path_factory.mktemp("demo") / "out"
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        code = main(["demo", "--seed", "1", "--json", "--out", str(folder)])
+    return DemoRun(folder, code, json.loads(printed.getvalue()))
+
+
+@pytest.fixture
+def short_path() -> Iterator[Path]:
+    """A folder for Unix sockets, whose paths must stay below 108 bytes."""
+    folder = Path(tempfile.mkdtemp(prefix="rs-", dir="/tmp"))
+    yield folder
+    shutil.rmtree(folder, ignore_errors=True)

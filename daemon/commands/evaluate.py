@@ -36,14 +36,14 @@ def run(arguments: argparse.Namespace) -> int:
     from dataclasses import asdict
 
     from daemon import terminal
-    from daemon.errors import CommandError
+    from daemon.errors import UsageError
     from daemon.evaluation import MODES, evaluate, summarise, summarise_clock
     from drivers.virtual.motion import SCENARIOS
 
     if arguments.scenario not in SCENARIOS:
-        raise CommandError(f"--scenario {arguments.scenario}: choose one of {', '.join(SCENARIOS)}")
+        raise UsageError(f"--scenario {arguments.scenario}: choose one of {', '.join(SCENARIOS)}")
     if arguments.jobs < 1:
-        raise CommandError("--jobs must be at least 1")
+        raise UsageError("--jobs must be at least 1")
     seeds = arguments.seeds
     with terminal.progress("virtual cycles", 2 * len(seeds)) as progress:
         results = evaluate(arguments.scenario, seeds, arguments.jobs, progress)

@@ -9,6 +9,10 @@ HELP = "Ask the running daemon what it sees: stroke, sensors, recorder, viewers.
 EXAMPLE = "ramstroke status --json"
 
 
+# Just below 1/√12, the sigma of a stroke that may be anything between the stops.
+UNDETERMINED_SHARE = 0.28
+
+
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.add_argument("--config", type=Path, help="the daemon's configuration (for the place of its socket)")
@@ -17,6 +21,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Print the status; 1 if no daemon answers."""
+    from rich.markup import escape
+
     from daemon import terminal
     from daemon.configuration import load
     from daemon.live_client import first_line
@@ -30,6 +36,8 @@ def run(arguments: argparse.Namespace) -> int:
     estimate = status["estimate"]
     if estimate is None:
         stroke = "no estimate yet"
+    elif estimate["sigma_mm"] >= UNDETERMINED_SHARE * status["stroke_mm"]:
+        stroke = f"undetermined (± {estimate['sigma_mm']:.0f} mm, 1σ), sensor {estimate['can_state']}"
     else:
         stroke = (
             f"{estimate['displacement_mm']:.1f} ± {estimate['sigma_mm']:.1f} mm (1σ), "
@@ -39,7 +47,7 @@ def run(arguments: argparse.Namespace) -> int:
     made.columns[1].justify = "left"
     made.add_row("stroke", stroke)
     for part in ("imu", "can", "recorder"):
-        made.add_row(part, _describe(status[part]))
+        made.add_row(part, escape(_describe(status[part])))
     live = status["live"]
     made.add_row("viewers", f"{live['viewers']} connected, {live['dropped']} lines dropped")
     terminal.OUT.print(made)

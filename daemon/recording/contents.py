@@ -62,9 +62,7 @@ class Contents:
         take = _TAKERS.get(record.opcode)
         if take is None:
             return
-        if len(record.body) > (
-            _MAX_ATTACHED_BYTES if record.opcode == scan.ATTACHMENT else _MAX_RECORD_BYTES
-        ):
+        if len(record.body) > (_MAX_ATTACHED_BYTES if record.opcode == scan.ATTACHMENT else _MAX_RECORD_BYTES):
             damage.add("description of absurd size skipped", record.offset)
             return
         try:

@@ -65,9 +65,7 @@ class Recording:
         if not self.metadata:
             sentences.append("the description at the head of the file is missing")
         if not self.complete:
-            sentences.append(
-                "the index at the end is missing: the file was cut, damaged, or not yet finished"
-            )
+            sentences.append("the index at the end is missing: the file was cut, damaged, or not yet finished")
         return sentences
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[tuple[str, Recorded]]:

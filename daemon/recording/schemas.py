@@ -140,9 +140,7 @@ uint8 tier  # TIER_*
 """,
 )
 
-EVENT = Layout(
-    "ramstroke_msgs/msg/Event", "# Something that happened, in words\n" + _TIME + "string what  # [text]\n"
-)
+EVENT = Layout("ramstroke_msgs/msg/Event", "# Something that happened, in words\n" + _TIME + "string what  # [text]\n")
 
 LOG = Layout(
     "rcl_interfaces/msg/Log",

@@ -196,9 +196,7 @@ class FileSeries:
             deleted = retention.make_room(directory, budget, keep_free, self._path, self._free_bytes)
         except OSError as error:  # one file that cannot be deleted is no reason to stop recording
             self.counters.errors += 1
-            self.counters.last_error = (
-                f"cannot delete old recordings in {directory}: {error.strerror or error}"
-            )
+            self.counters.last_error = f"cannot delete old recordings in {directory}: {error.strerror or error}"
             deleted = []
         self.counters.deleted_files += len(deleted)
         for path in deleted:

@@ -69,9 +69,7 @@ class Health:
     json: str
 
 
-Recorded = (
-    Burst | ImuSample | Frame | RecordedDisplacement | Tick | Estimate | Move | Event | LogLine | Health
-)
+Recorded = Burst | ImuSample | Frame | RecordedDisplacement | Tick | Estimate | Move | Event | LogLine | Health
 
 
 # What `Topic.decode` raises for bytes that are not such a record (an unknown enum code is a LookupError).
@@ -122,9 +120,7 @@ def _decode_burst(data: bytes) -> Burst:
 
 
 def _encode_sample(sample: ImuSample) -> bytes:
-    return schemas.IMU_SAMPLE.pack(
-        sample.t_ns, *sample.gyro, *sample.accel, sample.temperature_c, sample.time_kind
-    )
+    return schemas.IMU_SAMPLE.pack(sample.t_ns, *sample.gyro, *sample.accel, sample.temperature_c, sample.time_kind)
 
 
 def _decode_sample(data: bytes) -> ImuSample:

@@ -49,9 +49,7 @@ class Container:
     Starts with metadata, attachments and channels; every method raises `OSError` as the stream does.
     """
 
-    def __init__(
-        self, stream: BinaryIO, metadata: Mapping[str, str], attachments: Mapping[str, bytes]
-    ) -> None:
+    def __init__(self, stream: BinaryIO, metadata: Mapping[str, str], attachments: Mapping[str, bytes]) -> None:
         self._stream = stream
         self._writer = Writer(stream, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD)
         self._schemas: dict[tuple[str, bytes], int] = {}
@@ -107,9 +105,7 @@ class RecordingWriter:
     Raises `RecordingError` when the disk refuses.
     """
 
-    def __init__(
-        self, path: Path, metadata: Mapping[str, str], attachments: Mapping[str, bytes] | None = None
-    ) -> None:
+    def __init__(self, path: Path, metadata: Mapping[str, str], attachments: Mapping[str, bytes] | None = None) -> None:
         self._path = path
         self._part = path.with_name(f".{path.name}.part-{os.getpid()}")
         self._metadata = metadata
@@ -124,9 +120,7 @@ class RecordingWriter:
             raise failed("write", self._path, error) from error
         try:
             self._container = Container(self._stream, self._metadata, self._attachments)
-            self._numbers = {
-                channel: self._container.add_channel(channel) for channel in OWN_CHANNELS.values()
-            }
+            self._numbers = {channel: self._container.add_channel(channel) for channel in OWN_CHANNELS.values()}
         except OSError as error:
             self._discard()
             raise failed("write", self._path, error) from error

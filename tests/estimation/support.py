@@ -8,6 +8,7 @@ from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import signal
 
 from drivers.adis16448.registers import ACCEL_LSB, GYRO_LSB_DPS
 from drivers.virtual.motion import SCENARIOS, PlannedMove, TrueMove
@@ -41,9 +42,7 @@ class Run:
         """The inertial samples."""
         return [
             ImuSample(t, (a, b, c), (x, y, z))
-            for t, (a, b, c), (x, y, z) in zip(
-                self.t_ns.tolist(), self.gyro.tolist(), self.accel.tolist(), strict=True
-            )
+            for t, (a, b, c), (x, y, z) in zip(self.t_ns.tolist(), self.gyro.tolist(), self.accel.tolist(), strict=True)
         ]
 
     def records(self, readings: Iterable[Displacement] | None = None) -> list[Record]:
@@ -61,9 +60,7 @@ def merged(*streams: Iterable[Record]) -> list[Record]:
 
 
 @cache
-def run_of(
-    seed: int, scenario: str = "nominal", script: tuple[PlannedMove, ...] | None = None, cycles: int = 1
-) -> Run:
+def run_of(seed: int, scenario: str = "nominal", script: tuple[PlannedMove, ...] | None = None, cycles: int = 1) -> Run:
     """One seed's run; sensor errors, filter and quantisation of the part included."""
     support = VirtualSupport(seed, SCENARIOS[scenario], cycles=cycles, script=script)
     blocks = []
@@ -96,13 +93,11 @@ def _sensed(values: Floats, lsb: float) -> Floats:
     return np.asarray(np.rint(filtered / lsb) * lsb)
 
 
-def rest_samples(
-    seconds: float, seed: int, *, rate_hz: float = 819.2, start_ns: int = 0
-) -> list[ImuSample]:
+def rest_samples(seconds: float, seed: int, *, rate_hz: float = 819.2, start_ns: int = 0) -> list[ImuSample]:
     """A level sensor at rest: white noise of the data sheet's size."""
     rng = np.random.default_rng(seed)
     n = int(seconds * rate_hz)
-    accel = rng.normal(0.0, 0.0456, (n, 3)) + [0.0, 0.0, 9.80665]
+    accel = rng.normal((0.0, 0.0, 9.80665), 0.0456, (n, 3))
     gyro = rng.normal(0.0, np.radians(0.0135) * np.sqrt(rate_hz / 2), (n, 3))
     return [
         ImuSample(start_ns + round(i / rate_hz * 1e9), (a, b, c), (x, y, z))
@@ -136,6 +131,14 @@ class Told:
     def words(self) -> str:
         """All events as one text."""
         return "\n".join(event.what for event in self.events)
+
+
+def ramp_response(frequency_hz: float, damping: float, ramp_s: float, t_s: Floats) -> Floats:
+    """Second-order response to a unit ramp that begins at time zero, integrated numerically; times evenly spaced."""
+    w = 2 * np.pi * frequency_hz
+    command = np.clip(t_s / ramp_s, 0.0, 1.0)
+    _, response, _ = signal.lsim(([w * w], [1.0, 2 * damping * w, w * w]), command, t_s - t_s[0])
+    return np.asarray(response, dtype=np.float64)
 
 
 def told(pipeline: Pipeline, records: Sequence[Record]) -> Told:

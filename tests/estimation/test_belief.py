@@ -79,9 +79,7 @@ def test_belief_follows_the_decisions_of_the_recogniser() -> None:
         ([Motion(1, 10 * S)], [Free(12 * S)]),  # an unproven one is forgotten
     ],
 )
-def test_unexplained_time_ends_a_move_that_went_on(
-    before: list[Motion | Free], after: list[Motion | Free]
-) -> None:
+def test_unexplained_time_ends_a_move_that_went_on(before: list[Motion | Free], after: list[Motion | Free]) -> None:
     belief = Belief(before.copy())
     belief.begin_free(12 * S)
     assert belief.items == after

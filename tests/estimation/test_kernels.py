@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy import signal
 
 from estimation.kernels import (
     ACCEL_NOISE,
@@ -16,15 +15,16 @@ from estimation.kernels import (
     Shape,
     kernel_bank,
 )
+from tests.estimation.support import Floats, ramp_response
 
 DT_S = 8 / 819.2
 banks = pytest.mark.parametrize("pre_s", [PRE_LONG_S, PRE_SHORT_S])
 specs = pytest.mark.parametrize("k", range(len(SPECS)))
 
 
-def block_ends(window: int, post: int) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+def block_ends(window: int, post: int) -> Floats:
     """Block ends of a window, the step at zero."""
-    return (np.arange(window) - (window - 1 - post)) * DT_S
+    return np.asarray(np.arange(window) - (window - 1.0 - post)) * DT_S
 
 
 @pytest.mark.parametrize("shape", [START, SLOW_START, STOP])
@@ -33,15 +33,12 @@ def test_members_are_the_block_means_of_a_second_order_system_behind_a_ramp(shap
     members = shape.members(ends, DT_S)
     assert members.shape == (64, 140)
     fine = 32
-    t_s = np.arange(123 * fine + 1) * (DT_S / fine)
+    t_s: Floats = DT_S / fine * np.arange(123.0 * fine + 1)
     for member, f, z, ramp in (
         (members[0], shape.frequency_hz[0], shape.damping[0], shape.ramp_s[0]),
         (members[-1], shape.frequency_hz[1], shape.damping[1], shape.ramp_s[1]),
     ):
-        w = 2 * np.pi * f
-        system = signal.TransferFunction([w * w], [1.0, 2 * z * w, w * w])
-        _, velocity, _ = signal.lsim(system, np.clip(t_s / ramp, 0, 1), t_s)
-        means = np.diff(velocity[::fine]) / DT_S
+        means = np.diff(ramp_response(f, z, ramp, t_s)[::fine]) / DT_S
         np.testing.assert_allclose(member[-123:], means, atol=2e-3 * np.abs(means).max())
         assert not member[:-123].any()
 

@@ -8,7 +8,7 @@ import pytest
 from pydantic import ValidationError
 
 from estimation.mount import Mount
-from estimation.settings import MountSettings, SignedAxis
+from estimation.settings import MountSettings, SignedAxis, SupportSettings
 
 AXES: tuple[SignedAxis, ...] = get_args(SignedAxis)
 PAIRS = [(push, up) for push, up in product(AXES, AXES) if push[1] != up[1]]
@@ -24,9 +24,7 @@ def test_there_are_24_ways_to_mount_the_sensor() -> None:
 
 
 @pytest.mark.parametrize(("push", "up"), PAIRS)
-def test_every_mount_is_a_proper_rotation_with_push_along_y_and_up_along_z(
-    push: SignedAxis, up: SignedAxis
-) -> None:
+def test_every_mount_is_a_proper_rotation_with_push_along_y_and_up_along_z(push: SignedAxis, up: SignedAxis) -> None:
     mount = Mount(MountSettings(push=push, up=up))
     r = np.array([mount.to_support(direction(axis)) for axis in ("+x", "+y", "+z")]).T
     assert np.array_equal(r @ r.T, np.eye(3))
@@ -41,3 +39,9 @@ def test_every_mount_is_a_proper_rotation_with_push_along_y_and_up_along_z(
 def test_push_and_up_on_one_axis_are_refused(push: SignedAxis, up: SignedAxis) -> None:
     with pytest.raises(ValidationError, match="name two axes"):
         MountSettings(push=push, up=up)
+
+
+def test_initial_stroke_beyond_the_stroke_is_refused() -> None:
+    assert SupportSettings(stroke_mm=400, initial_mm=400).initial_mm == 400
+    with pytest.raises(ValidationError, match="initial_mm = 500 lies beyond stroke_mm = 400"):
+        SupportSettings(stroke_mm=400, initial_mm=500)

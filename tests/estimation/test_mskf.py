@@ -36,7 +36,7 @@ def measured(x: Floats, p: Floats, h: Floats, z: float, r: float) -> tuple[Float
     """Textbook update in information form."""
     information = np.linalg.inv(p) + np.outer(h, h) / r
     p_new = np.linalg.inv(information)
-    return x + p_new @ h * (z - h @ x) / r, p_new
+    return np.asarray(x + p_new @ h * (z - h @ x) / r), np.asarray(p_new, dtype=np.float64)
 
 
 def assert_is(filter_: Filter, x: Floats, p: Floats, rtol: float = 1e-9) -> None:

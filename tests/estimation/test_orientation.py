@@ -24,9 +24,7 @@ from estimation.orientation import (
 from estimation.records import Vector
 
 part = st.floats(-1, 1)
-quaternions = (
-    st.tuples(part, part, part, part).filter(lambda q: math.hypot(*q) > 0.1).map(lambda q: normalised(q))
-)
+quaternions = st.tuples(part, part, part, part).filter(lambda q: math.hypot(*q) > 0.1).map(lambda q: normalised(q))
 vectors = st.tuples(*(st.floats(-20, 20),) * 3)
 
 

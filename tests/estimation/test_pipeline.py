@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from estimation.records import (
     Displacement,
     Estimate,
     ImuSample,
+    Move,
     MoveKind,
     Output,
     Record,
@@ -75,7 +77,7 @@ def errors(run: Run, estimates: list[Estimate]) -> NDArray[np.float64]:
 
 
 def in_sigmas(run: Run, estimates: list[Estimate]) -> NDArray[np.float64]:
-    return np.abs(errors(run, estimates)) / np.array([e.sigma_m for e in estimates])
+    return np.asarray(np.abs(errors(run, estimates)) / np.array([e.sigma_m for e in estimates]))
 
 
 def between(estimates: list[Estimate], from_s: float, to_s: float) -> list[Estimate]:
@@ -123,7 +125,7 @@ def test_segments_follow_each_other_as_in_the_paper_and_begin_with_rest() -> Non
 def test_every_step_has_one_provisional_and_one_settled_estimate_and_time_never_goes_back() -> None:
     for result in (fused(2), inertial(2)):
         provisional = [e.t_ns for e in result.provisional]
-        assert all(a < b for a, b in zip(provisional, provisional[1:], strict=False))
+        assert all(a < b for a, b in pairwise(provisional))
         assert [e.t_ns for e in result.settled] == provisional
         assert len(provisional) == len(short(2).t_ns) // 8
 
@@ -251,16 +253,14 @@ def test_a_silent_sensor_is_recognised_and_sigma_grows() -> None:
     assert states(between(result.provisional, FAULT_S + 0.5, FAULT_S + 0.6)) == {CanState.LATE}
     assert states(between(result.provisional, FAULT_S + 1.5, 40)) == {CanState.SILENT}
     sigmas = [e.sigma_m for e in between(result.provisional, FAULT_S + 0.5, 18.0)]
-    assert all(a < b for a, b in zip(sigmas, sigmas[1:], strict=False))
+    assert all(a < b for a, b in pairwise(sigmas))
     assert result.settled[-1].sigma_m > 2 * fused(2).settled[-1].sigma_m
     assert_both_moves_are_right(run, result)
 
 
 @pytest.mark.parametrize("seed", [2, 3, 4])
 def test_a_jump_of_the_sensor_does_not_pull_the_estimate(seed: int) -> None:
-    result = with_readings(
-        seed, lambda all_: after_fault(all_, lambda r: replace(r, value_m=r.value_m + 0.04))
-    )
+    result = with_readings(seed, lambda all_: after_fault(all_, lambda r: replace(r, value_m=r.value_m + 0.04)))
     run = short(seed)
     assert CanState.BIASED in states(between(result.provisional, FAULT_S, FAULT_S + 2))
     assert result.moves[0].can_state in (CanState.BIASED, CanState.OUT_OF_RANGE)
@@ -338,6 +338,36 @@ def test_time_alone_makes_everything_uncertain() -> None:
     assert result.provisional[0].sigma_m < 0.12 / 2
     assert result.provisional[-1].sigma_m >= 0.12 / math.sqrt(12)
     assert states(result.provisional) == {CanState.ABSENT}
+
+
+def with_false_stop(run: Run) -> Run:
+    """A burst like that of a stop in mid-push, but the ram goes on."""
+    t_s = run.t_ns * 1e-9
+    accel = run.accel.copy()
+    accel[(t_s > 13.0) & (t_s < 13.2), 1] -= run.moves[0].speed_m_s / 0.2
+    return replace(run, accel=accel)
+
+
+@pytest.mark.parametrize("seed", [4, 5])
+def test_a_false_stop_is_taken_back_when_the_displacement_sensor_goes_on(seed: int) -> None:
+    run = with_false_stop(short(seed))
+    result = told(pipeline(), run.records())
+    assert "the displacement sensor still moves: the stop was none, move re-opened" in result.words()
+    first, again = [o for o in result.outputs if isinstance(o, Move) and o.number == 1]
+    assert first.stop_ns * 1e-9 == pytest.approx(13.05, abs=0.1)
+    assert again.stop_ns * 1e-9 == pytest.approx(run.moves[0].stop_s, abs=0.08)
+    assert_both_moves_are_right(run, result)
+    assert in_sigmas(run, result.settled).max() < 3.5
+
+
+@pytest.mark.parametrize("seed", [4, 5])
+def test_a_false_stop_that_nothing_contradicts_is_noticed_when_the_ram_comes_back_too_far(seed: int) -> None:
+    run = with_false_stop(short(seed))
+    result = told(pipeline(), run.records(()))
+    assert result.moves[0].end_m < 0.06
+    assert result.moves[1].end_before_stop_m < -0.04
+    assert result.settled[-1].sigma_m >= 0.12 / math.sqrt(12)
+    assert in_sigmas(run, result.settled[-1:])[0] < 3
 
 
 def test_a_stop_that_was_not_felt_is_learned_from_the_sensor() -> None:

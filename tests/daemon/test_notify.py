@@ -1,0 +1,65 @@
+"""Words to systemd reach its socket, one datagram each, and never hinder the program."""
+
+from __future__ import annotations
+
+import socket
+from pathlib import Path
+
+import pytest
+
+from daemon.notify import Notifier
+
+
+def received(channel: socket.socket) -> list[str]:
+    channel.setblocking(False)
+    words = []
+    while True:
+        try:
+            words.append(channel.recv(4096).decode())
+        except BlockingIOError:
+            return words
+
+
+def say_everything(notifier: Notifier) -> None:
+    notifier.ready()
+    notifier.status("312.4 ± 2.0 mm; imu running")
+    notifier.watchdog()
+    notifier.stopping()
+
+
+EVERYTHING = ["READY=1", "STATUS=312.4 ± 2.0 mm; imu running", "WATCHDOG=1", "STOPPING=1"]
+
+
+def test_every_word_arrives_as_a_datagram_of_its_own(short_path: Path) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
+        systemd.bind(str(short_path / "notify"))
+        say_everything(Notifier(str(short_path / "notify")))
+        assert received(systemd) == EVERYTHING
+
+
+def test_an_address_with_an_at_sign_is_in_the_abstract_namespace(short_path: Path) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
+        systemd.bind(f"\0{short_path}")
+        say_everything(Notifier(f"@{short_path}"))
+        assert received(systemd) == EVERYTHING
+
+
+def test_the_address_comes_from_the_environment(short_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NOTIFY_SOCKET", str(short_path / "notify"))
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
+        systemd.bind(str(short_path / "notify"))
+        say_everything(Notifier())
+        assert received(systemd) == EVERYTHING
+
+
+def test_without_systemd_nothing_happens(monkeypatch: pytest.MonkeyPatch, short_path: Path) -> None:
+    monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
+    say_everything(Notifier())
+    say_everything(Notifier(str(short_path / "nobody")))
+
+
+def test_a_status_of_several_lines_cannot_say_anything_else(short_path: Path) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
+        systemd.bind(str(short_path / "notify"))
+        Notifier(str(short_path / "notify")).status("waiting: first\nWATCHDOG=1\n")
+        assert received(systemd) == ["STATUS=waiting: first WATCHDOG=1"]

@@ -1,0 +1,507 @@
+"""`ramstroke replay`: the same bytes again from what was received, and what can be written of them."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from daemon.cli import main
+from daemon.demo import demo_settings
+from daemon.recording import topics
+from daemon.recording.metadata import LEARNED, SNAPSHOT, Preamble, describe
+from daemon.recording.reader import Recording
+from daemon.recording.recorder import Recorder
+from daemon.recording.settings import RecorderSettings
+from daemon.recording.topics import TOPICS, Recorded
+from daemon.recording.writer import RecordingWriter
+from daemon.replay import replay
+from daemon.settings import Settings
+from daemon.stream import Sink, Stream
+from daemon.virtual import SimulatedRun, virtual_support
+from drivers.clock import VirtualClock
+from estimation.pipeline import Start
+from estimation.records import Estimate, Segment
+from tests.conftest import DemoRun
+
+ESTIMATES = (topics.PROVISIONAL, topics.SETTLED)
+COLUMNS = [
+    "t_s",
+    "displacement_mm",
+    "sigma_mm",
+    "velocity_mm_s",
+    "velocity_sigma_mm_s",
+    "segment",
+    "tier",
+    "can_state",
+]
+MOVE_KEYS = {
+    "kind",
+    "onset_s",
+    "stop_s",
+    "start_mm",
+    "end_mm",
+    "end_before_stop_mm",
+    "sigma_mm",
+    "sigma_before_stop_mm",
+    "velocity_mm_s",
+    "can_state",
+    "tier",
+}
+
+
+def estimates_in(path: Path, topic: str) -> list[Estimate]:
+    return [record for _, record in Recording(path).messages((topic,)) if isinstance(record, Estimate)]
+
+
+def replayed(capsys: pytest.CaptureFixture[str], path: Path, *options: str) -> dict[str, Any]:
+    """Run the command with --json."""
+    assert main(["replay", str(path), "--json", *options]) == 0
+    report: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return report
+
+
+def rewrite(
+    source: Path, target: Path, change: Callable[[str, Recorded], Recorded | None], seconds: float = math.inf
+) -> Path:
+    """A copy with every message as `change` wants it (None: left out), up to `seconds`."""
+    recording = Recording(source)
+    with RecordingWriter(target, recording.metadata, recording.attachments) as writer:
+        for topic, record in recording.messages():
+            if TOPICS[topic].time_ns(record) > seconds * 1e9:
+                break
+            changed = change(topic, record)
+            if changed is not None:
+                writer.write(topic, changed)
+    return target
+
+
+@pytest.fixture(scope="module")
+def short(demo_run: DemoRun, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The first 12 s of the demo; its push begins at 10 s."""
+    target = tmp_path_factory.mktemp("replay") / "short.mcap"
+    return rewrite(demo_run.recording, target, lambda _, record: record, seconds=12)
+
+
+def test_the_demo_is_reproduced_bit_for_bit(demo_run: DemoRun, capsys: pytest.CaptureFixture[str]) -> None:
+    report = replayed(capsys, demo_run.recording)
+    assert report["identical"] is True
+    assert report["samples"] == Recording(demo_run.recording).counts.total() or report["samples"] > 60_000
+    assert report["duration_s"] == pytest.approx(report["samples"] / 819.2, rel=0.04)
+    assert report["realtime_factor"] > 1
+    assert report["damage"] == []
+    assert [move["kind"] for move in report["moves"]] == ["push", "retract"]
+    for move, shown in zip(report["moves"], demo_run.report["moves"], strict=True):
+        assert move.keys() == MOVE_KEYS
+        assert move == {key: shown[key] for key in MOVE_KEYS}
+        assert all(isinstance(move[key], float) for key in MOVE_KEYS - {"kind", "can_state", "tier"})
+
+
+@pytest.mark.parametrize("topic", ESTIMATES)
+@pytest.mark.parametrize("place", [0, 700])
+def test_one_estimate_that_differs_in_its_last_bit_is_seen(
+    topic: str, place: int, short: Path, tmp_path: Path
+) -> None:
+    number = -1
+
+    def alter(of: str, record: Recorded) -> Recorded:
+        nonlocal number
+        if of == topic and isinstance(record, Estimate):
+            number += 1
+            if number == place:
+                return replace(record, displacement_m=math.nextafter(record.displacement_m, math.inf))
+        return record
+
+    assert replay(rewrite(short, tmp_path / "altered.mcap", alter)).identical is False
+
+
+def test_an_estimate_that_nothing_brings_about_is_seen(short: Path, tmp_path: Path) -> None:
+    target = tmp_path / "more.mcap"
+    recording = Recording(short)
+    with RecordingWriter(target, recording.metadata, recording.attachments) as writer:
+        for topic, record in recording.messages():
+            writer.write(topic, record)
+        # Settled ones of the last seconds are yet to come; this many are not.
+        settled = estimates_in(short, topics.SETTLED)
+        for _ in range(1000):
+            writer.write(topics.SETTLED, settled[-1])
+    assert replay(target).identical is False
+
+
+def test_a_lost_input_is_seen(short: Path, tmp_path: Path) -> None:
+    frames = 0
+
+    def lose(topic: str, record: Recorded) -> Recorded | None:
+        nonlocal frames
+        frames += topic == topics.CAN_RX
+        return None if topic in (topics.CAN_RX, topics.OBSERVED, topics.REFERENCE) and frames == 40 else record
+
+    altered = rewrite(short, tmp_path / "lost.mcap", lose)
+    # Frame 40 may be one of the laboratory sensor; then the next one is not.
+    assert frames > 200
+    results = [replay(altered).identical]
+    if results == [True]:
+        frames = -1
+        results.append(replay(rewrite(short, tmp_path / "lost2.mcap", lose)).identical)
+    assert False in results
+
+
+def test_without_recorded_estimates_there_is_nothing_to_compare(short: Path, tmp_path: Path) -> None:
+    bare = rewrite(short, tmp_path / "bare.mcap", lambda topic, r: None if topic in ESTIMATES else r)
+    result = replay(bare)
+    assert result.identical is None
+    assert result.samples == replay(short).samples > 9000
+
+
+def test_an_import_has_no_estimates_to_reproduce(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    table, imported, again = (tmp_path / name for name in ("rest.csv", "rest.mcap", "again.mcap"))
+    config = tmp_path / "bench.toml"
+    config.write_text("[support]\ninitial_mm = 120\n")
+    header = "t_s,gyro_x_rad_s,gyro_y_rad_s,gyro_z_rad_s,accel_x_m_s2,accel_y_m_s2,accel_z_m_s2"
+    rows = [f"{number / 200:.3f},0.001,-0.002,0,{number % 3 * 0.01},0,9.81" for number in range(1000)]
+    table.write_text("\n".join([header, *rows]) + "\n")
+    assert main(["import", str(table), "-o", str(imported), "--config", str(config)]) == 0
+    capsys.readouterr()
+    report = replayed(capsys, imported, "-o", str(again))
+    assert report["identical"] is None
+    assert (report["samples"], report["moves"]) == (1000, [])
+    assert report["duration_s"] == pytest.approx(4.995)
+    estimates = estimates_in(again, topics.SETTLED)
+    assert estimates[0].segment is Segment.ZUPT
+    assert [e.displacement_m for e in estimates] == pytest.approx([0.120] * (1000 // 8), abs=1e-3)
+    # What the replay wrote now has estimates, and they come out again.
+    assert replayed(capsys, again)["identical"] is True
+
+
+@pytest.mark.parametrize("share", [0.2, 0.55, 0.9])
+def test_a_cut_file_is_reproduced_as_far_as_it_goes(share: float, short: Path, tmp_path: Path) -> None:
+    cut = tmp_path / "cut.mcap"
+    data = short.read_bytes()
+    cut.write_bytes(data[: int(share * len(data))])
+    result, whole = replay(cut), replay(short)
+    assert result.identical is True
+    assert 0 < result.samples < whole.samples
+    assert result.damage == [
+        sentence for sentence in result.damage if "cut" in sentence or "end" in sentence or "byte" in sentence
+    ]
+    assert result.damage != []
+
+
+def table_of(path: Path) -> tuple[list[str], list[dict[str, str]]]:
+    with path.open(newline="") as stream:
+        rows = csv.DictReader(stream)
+        return list(rows.fieldnames or ()), list(rows)
+
+
+@pytest.mark.parametrize("tier", ["settled", "provisional"])
+def test_the_table_has_a_row_for_every_step(
+    tier: str, short: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "steps.csv"
+    replayed(capsys, short, "--csv", str(path), *(["--provisional"] if tier == "provisional" else []))
+    columns, rows = table_of(path)
+    assert columns == COLUMNS
+    written: list[Estimate] = []
+
+    def sink(topic: str, record: Recorded) -> None:
+        if isinstance(record, Estimate) and record.tier == tier:
+            written.append(record)
+
+    result = replay(short, sink=sink)
+    assert len(rows) == len(written) == result.samples // 8
+    assert {row["tier"] for row in rows} == {tier}
+    assert rows[0]["segment"] == "ZUPT"
+    assert {row["segment"] for row in rows} >= {"ZUPT", "VVS"}
+    for row, estimate in zip(rows, written, strict=True):
+        assert round(float(row["t_s"]) * 1e9) == pytest.approx(estimate.t_ns, abs=2)
+        assert float(row["displacement_mm"]) == pytest.approx(estimate.displacement_m * 1e3, abs=1e-6)
+        assert float(row["sigma_mm"]) == pytest.approx(estimate.sigma_m * 1e3, abs=1e-6)
+        assert float(row["velocity_mm_s"]) == pytest.approx(estimate.velocity_m_s * 1e3, abs=1e-6)
+        assert float(row["velocity_sigma_mm_s"]) == pytest.approx(estimate.velocity_sigma_m_s * 1e3, abs=1e-6)
+        assert (row["segment"], row["can_state"]) == (estimate.segment, estimate.can_state)
+    times = [row["t_s"] for row in rows]
+    assert times == sorted(times, key=float)
+
+
+def test_settled_rows_know_the_onset_that_provisional_ones_learned_later(
+    demo_run: DemoRun, short: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    onset_s = demo_run.report["moves"][0]["onset_s"]
+    first_moving: dict[str, float] = {}
+    for tier, option in (("settled", []), ("provisional", ["--provisional"])):
+        path = tmp_path / f"{tier}.csv"
+        replayed(capsys, short, "--csv", str(path), *option)
+        first_moving[tier] = next(float(row["t_s"]) for row in table_of(path)[1] if row["segment"] != "ZUPT")
+    assert first_moving["settled"] == pytest.approx(onset_s, abs=0.02)
+    assert onset_s < first_moving["settled"] < first_moving["provisional"]
+
+
+def test_the_recording_that_a_replay_writes_replays_too(
+    short: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    once, twice = tmp_path / "once.mcap", tmp_path / "twice.mcap"
+    assert replayed(capsys, short, "-o", str(once))["identical"] is True
+    assert replayed(capsys, once, "-o", str(twice))["identical"] is True
+    for path in (once, twice):
+        assert Recording(path).metadata == Recording(short).metadata
+    for topic in TOPICS:
+        messages = [list(Recording(path).messages((topic,))) for path in (once, twice)]
+        encoded = [[TOPICS[topic].encode(record) for _, record in of] for of in messages]
+        assert encoded[0] == encoded[1], topic
+
+
+def test_other_settings_give_other_estimates_and_are_written_down(
+    short: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config, output = tmp_path / "other.toml", tmp_path / "other.mcap"
+    config.write_text("[support]\nstroke_mm = 700\n[estimator]\ncan_noise_mm = 9\n")
+    before = replayed(capsys, short)
+    report = replayed(capsys, short, "--config", str(config), "-o", str(output))
+    assert (before["identical"], report["identical"]) == (True, False)
+    assert report["samples"] == before["samples"]
+    written = Settings.model_validate_json(Recording(output).metadata["settings"])
+    assert (written.support.stroke_mm, written.estimator.can_noise_mm) == (700, 9)
+    assert SNAPSHOT not in Recording(output).attachments
+    # The stroke at the start is undetermined now: in the middle of 700 mm.
+    assert estimates_in(output, topics.PROVISIONAL)[0].displacement_m == pytest.approx(0.350, abs=0.05)
+    assert replayed(capsys, output)["identical"] is True
+
+
+def test_people_are_told_whether_it_was_reproduced(short: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["replay", str(short)]) == 0
+    printed = capsys.readouterr()
+    assert "recorded estimates: reproduced bit for bit" in printed.out
+    assert "No moves were found." in printed.out
+    assert printed.err == ""
+
+
+def test_the_recording_itself_is_never_overwritten(short: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = short.read_bytes()
+    for option in ("-o", "--csv"):
+        assert main(["replay", str(short), option, str(short)]) == 1
+        assert capsys.readouterr().err == (
+            f"ramstroke: {short} is the file to read from: name another file for the result\n"
+        )
+    assert short.read_bytes() == before
+
+
+def test_outputs_that_cannot_be_written_are_told_and_leave_nothing(
+    short: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").touch()
+    for option in ("-o", "--csv"):
+        for place, reason in (
+            ("none/x", "No such file or directory"),
+            ("file/x", "Not a directory"),
+        ):
+            target = tmp_path / place
+            assert main(["replay", str(short), option, str(target)]) == 1
+            assert capsys.readouterr().err == f"ramstroke: cannot write {target}: {reason}\n"
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_a_replay_that_fails_leaves_no_half_table(
+    short: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Stream, "finish", interrupt)
+    table, output = tmp_path / "x.csv", tmp_path / "x.mcap"
+    assert main(["replay", str(short), "--csv", str(table), "-o", str(output)]) == 130
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("settings", "snapshot", "sentence"),
+    [
+        (None, b"", "does not say with which settings it was made: name --config FILE"),
+        ('{"imu": {"colour": 1}}', b"", "was made with settings of another version: name --config FILE"),
+        ("not JSON", b"", "was made with settings of another version: name --config FILE"),
+        (
+            "{}",
+            b"damaged",
+            "its snapshot is damaged or of another version: name --config FILE to start afresh",
+        ),
+    ],
+)
+def test_a_recording_of_another_version_asks_for_a_configuration(
+    settings: str | None,
+    snapshot: bytes,
+    sentence: str,
+    short: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    path, config = tmp_path / "foreign.mcap", tmp_path / "own.toml"
+    config.write_text("")
+    metadata = dict(Recording(short).metadata)
+    del metadata["settings"]
+    with RecordingWriter(
+        path, metadata if settings is None else metadata | {"settings": settings}, {SNAPSHOT: snapshot}
+    ) as writer:
+        for number, (topic, record) in enumerate(Recording(short).messages((topics.IMU_RAW,))):
+            writer.write(topic, record)
+            if number == 800:
+                break
+    assert main(["replay", str(path)]) == 1
+    said = capsys.readouterr().err
+    assert said.startswith(f"ramstroke: {path}")
+    assert said.endswith(f"{sentence}\n")
+    assert main(["replay", str(path), "--config", str(config)]) == 0
+
+
+# --- a run in simulated time, recorded by the real recorder ----------------------------------------------------
+
+
+def simulate(settings: Settings, seconds: float, sink: Callable[[Stream], Sink]) -> None:
+    """The program's own driver and bus on the twins, into a stream whose sink is made by `sink`."""
+    clock = VirtualClock()
+    run = SimulatedRun(settings, virtual_support(settings, cycles=1), clock)
+    receive: list[Sink] = []
+    stream = Stream(settings, lambda topic, record: receive[0](topic, record), Start(0.0))
+    receive.append(sink(stream))
+    try:
+        while clock.now_ns() < seconds * 1e9 and (received := run.next()) is not None:
+            block, frames = received
+            for burst in block:
+                stream.take(topics.IMU_RAW, burst)
+            for frame in frames:
+                stream.take(topics.CAN_RX, frame)
+        stream.finish()
+    finally:
+        run.close()
+
+
+def changed(settings: Settings, **sections: dict[str, Any]) -> Settings:
+    tree = settings.model_dump(mode="json")
+    for name, values in sections.items():
+        tree[name] |= values
+    return Settings.model_validate(tree)
+
+
+def preamble(settings: Settings, stream: Stream) -> Preamble:
+    return Preamble(
+        describe("recording", settings.model_dump_json()), {SNAPSHOT: stream.snapshot(), LEARNED: b"{}"}
+    )
+
+
+@pytest.mark.parametrize("block_samples", [1, 8, 13, 64])
+def test_a_run_with_blocks_of_any_size_is_reproduced(block_samples: int, tmp_path: Path) -> None:
+    """Block by block other frames come between other samples; their order is what counts."""
+    settings = changed(demo_settings(3), imu={"block_samples": block_samples})
+    path = tmp_path / "run.mcap"
+    writers: list[RecordingWriter] = []
+
+    def sink(stream: Stream) -> Sink:
+        head = preamble(settings, stream)
+        writers.append(RecordingWriter(path, head.metadata, head.attachments).__enter__())
+        return writers[0].write
+
+    simulate(settings, 4, sink)
+    writers[0].__exit__(None, None, None)
+    result = replay(path)
+    assert result.identical is True
+    assert result.samples > 3000
+
+
+def test_blocks_of_any_size_change_nothing_but_the_place_of_frames(tmp_path: Path) -> None:
+    def estimates(block_samples: int) -> list[bytes]:
+        taken: list[bytes] = []
+        settings = changed(
+            demo_settings(3), imu={"block_samples": block_samples}, can={"enabled": False, "reference": None}
+        )
+
+        def sink(_: Stream) -> Sink:
+            return lambda topic, record: taken.append(TOPICS[topic].encode(record))
+
+        simulate(settings, 4, sink)
+        return taken
+
+    ones = estimates(1)
+    for size in (8, 13, 64):
+        others = estimates(size)
+        # The last block ends later the larger it is.
+        assert len(others) >= len(ones) > 3000
+        common = 3000
+        assert others[:common] == ones[:common]
+
+
+def test_each_file_of_a_rotated_recording_is_reproduced_alone(tmp_path: Path) -> None:
+    settings = demo_settings(2)
+    # Cut by the recorder's own clock, here a simulated one: about every three seconds of the run.
+    recorder_settings = RecorderSettings(directory=tmp_path, rotate_minutes=0.05, flush_interval_ms=1)
+    clock = VirtualClock()
+    recorders: list[Recorder] = []
+    inputs: list[bytes] = []
+
+    def sink(stream: Stream) -> Sink:
+        recorder = Recorder(recorder_settings, lambda: preamble(settings, stream), clock=clock)
+        recorder.start()
+        recorders.append(recorder)
+
+        def receive(topic: str, record: Recorded) -> None:
+            if topic in (topics.IMU_RAW, topics.CAN_RX):
+                inputs.append(TOPICS[topic].encode(record))
+                clock.advance_to(TOPICS[topic].time_ns(record))
+            while recorder.queued > 2000:  # simulated time runs faster than any disk
+                clock.sleep(0)
+            recorder.write(topic, record)
+
+        return receive
+
+    simulate(settings, 16, sink)
+    assert recorders[0].close()
+    counters = recorders[0].counters
+    assert (counters.dropped, counters.errors) == (0, 0)
+    files = sorted(tmp_path.iterdir())
+    assert len(files) == counters.files >= 4
+    kept: list[bytes] = []
+    for path in files:
+        result = replay(path)
+        assert (result.identical, result.damage) == (True, []), path
+        assert result.samples > 1000
+        kept += [
+            TOPICS[topic].encode(record)
+            for topic, record in Recording(path).messages((topics.IMU_RAW, topics.CAN_RX))
+        ]
+    assert kept == inputs
+
+
+def test_a_rotated_file_starts_where_the_stroke_was(tmp_path: Path, demo_run: DemoRun) -> None:
+    """A snapshot in the middle of the push, not the beginning's."""
+    settings = demo_settings(1)
+    sink: list[tuple[str, Recorded]] = []
+    stream = Stream(settings, lambda topic, record: sink.append((topic, record)), Start(0.0))
+
+    def inputs() -> Iterator[tuple[str, Recorded]]:
+        for topic, record in Recording(demo_run.recording).messages((topics.IMU_RAW, topics.CAN_RX)):
+            if TOPICS[topic].time_ns(record) > 22e9:
+                return
+            yield topic, record
+
+    received = inputs()
+    for topic, record in received:
+        stream.take(topic, record)
+        if TOPICS[topic].time_ns(record) > 20e9:
+            break
+    head = preamble(settings, stream)
+    sink.clear()
+    for topic, record in received:
+        stream.take(topic, record)
+    stream.finish()
+    path = tmp_path / "second.mcap"
+    with RecordingWriter(path, head.metadata, head.attachments) as writer:
+        for topic, record in sink:
+            writer.write(topic, record)
+    result = replay(path)
+    assert result.identical is True
+    provisional = estimates_in(path, topics.PROVISIONAL)
+    assert 0.1 < provisional[0].displacement_m < 0.2
+    assert {e.segment for e in provisional} == {Segment.CVS}
