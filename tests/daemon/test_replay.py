@@ -6,6 +6,7 @@ import csv
 import json
 import math
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,11 +26,13 @@ from daemon.replay import replay
 from daemon.settings import Settings
 from daemon.stream import Sink, Stream
 from daemon.virtual import SimulatedRun, virtual_support
+from drivers.can.frame import Frame
 from drivers.clock import VirtualClock
 from estimation.pipeline import Start
 from estimation.records import Estimate, Segment
 from tests.conftest import DemoRun
 
+CONTROLLER_ID = 0x310
 ESTIMATES = (topics.PROVISIONAL, topics.SETTLED)
 COLUMNS = [
     "t_s",
@@ -92,7 +95,7 @@ def short(demo_run: DemoRun, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_demo_is_reproduced_bit_for_bit(demo_run: DemoRun, capsys: pytest.CaptureFixture[str]) -> None:
     report = replayed(capsys, demo_run.recording)
     assert report["identical"] is True
-    assert report["samples"] == Recording(demo_run.recording).counts.total() or report["samples"] > 60_000
+    assert report["samples"] == len(list(Recording(demo_run.recording).messages((topics.IMU_RAW,))))
     assert report["duration_s"] == pytest.approx(report["samples"] / 819.2, rel=0.04)
     assert report["realtime_factor"] > 1
     assert report["damage"] == []
@@ -135,21 +138,18 @@ def test_an_estimate_that_nothing_brings_about_is_seen(short: Path, tmp_path: Pa
 
 
 def test_a_lost_input_is_seen(short: Path, tmp_path: Path) -> None:
-    frames = 0
+    seen = 0
 
-    def lose(topic: str, record: Recorded) -> Recorded | None:
-        nonlocal frames
-        frames += topic == topics.CAN_RX
-        return None if topic in (topics.CAN_RX, topics.OBSERVED, topics.REFERENCE) and frames == 40 else record
+    def lose(_: str, record: Recorded) -> Recorded | None:
+        nonlocal seen
+        if isinstance(record, Frame) and record.arbitration_id == CONTROLLER_ID:
+            seen += 1
+            return None if seen == 40 else record
+        return record
 
     altered = rewrite(short, tmp_path / "lost.mcap", lose)
-    # Frame 40 may be one of the laboratory sensor; then the next one is not.
-    assert frames > 200
-    results = [replay(altered).identical]
-    if results == [True]:
-        frames = -1
-        results.append(replay(rewrite(short, tmp_path / "lost2.mcap", lose)).identical)
-    assert False in results
+    assert seen > 100
+    assert replay(altered).identical is False
 
 
 def test_without_recorded_estimates_there_is_nothing_to_compare(short: Path, tmp_path: Path) -> None:
@@ -187,10 +187,7 @@ def test_a_cut_file_is_reproduced_as_far_as_it_goes(share: float, short: Path, t
     result, whole = replay(cut), replay(short)
     assert result.identical is True
     assert 0 < result.samples < whole.samples
-    assert result.damage == [
-        sentence for sentence in result.damage if "cut" in sentence or "end" in sentence or "byte" in sentence
-    ]
-    assert result.damage != []
+    assert result.damage[-1].startswith("the index at the end is missing: the file was cut")
 
 
 def table_of(path: Path) -> tuple[list[str], list[dict[str, str]]]:
@@ -238,8 +235,9 @@ def test_settled_rows_know_the_onset_that_provisional_ones_learned_later(
         path = tmp_path / f"{tier}.csv"
         replayed(capsys, short, "--csv", str(path), *option)
         first_moving[tier] = next(float(row["t_s"]) for row in table_of(path)[1] if row["segment"] != "ZUPT")
-    assert first_moving["settled"] == pytest.approx(onset_s, abs=0.02)
-    assert onset_s < first_moving["settled"] < first_moving["provisional"]
+    # The settled start is the onset, less what the acceleration may have been under way before it.
+    assert onset_s - 0.3 < first_moving["settled"] < onset_s + 0.02
+    assert onset_s + 0.02 < first_moving["provisional"] < onset_s + 2
 
 
 def test_the_recording_that_a_replay_writes_replays_too(
@@ -397,15 +395,13 @@ def test_a_run_with_blocks_of_any_size_is_reproduced(block_samples: int, tmp_pat
     """Block by block other frames come between other samples; their order is what counts."""
     settings = changed(demo_settings(3), imu={"block_samples": block_samples})
     path = tmp_path / "run.mcap"
-    writers: list[RecordingWriter] = []
+    with ExitStack() as stack:
 
-    def sink(stream: Stream) -> Sink:
-        head = preamble(settings, stream)
-        writers.append(RecordingWriter(path, head.metadata, head.attachments).__enter__())
-        return writers[0].write
+        def sink(stream: Stream) -> Sink:
+            head = preamble(settings, stream)
+            return stack.enter_context(RecordingWriter(path, head.metadata, head.attachments)).write
 
-    simulate(settings, 4, sink)
-    writers[0].__exit__(None, None, None)
+        simulate(settings, 4, sink)
     result = replay(path)
     assert result.identical is True
     assert result.samples > 3000
@@ -427,10 +423,9 @@ def test_blocks_of_any_size_change_nothing_but_the_place_of_frames(tmp_path: Pat
     ones = estimates(1)
     for size in (8, 13, 64):
         others = estimates(size)
-        # The last block ends later the larger it is.
-        assert len(others) >= len(ones) > 3000
-        common = 3000
-        assert others[:common] == ones[:common]
+        # The larger the blocks, the later the last one ends; `finish` settles what comes before.
+        assert len(others) >= len(ones) > 3300
+        assert others[:3300] == ones[:3300]
 
 
 def test_each_file_of_a_rotated_recording_is_reproduced_alone(tmp_path: Path) -> None:
@@ -466,7 +461,7 @@ def test_each_file_of_a_rotated_recording_is_reproduced_alone(tmp_path: Path) ->
     for path in files:
         result = replay(path)
         assert (result.identical, result.damage) == (True, []), path
-        assert result.samples > 1000
+        assert path == files[-1] or result.samples > 1000
         kept += [
             TOPICS[topic].encode(record)
             for topic, record in Recording(path).messages((topics.IMU_RAW, topics.CAN_RX))
