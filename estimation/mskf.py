@@ -58,10 +58,11 @@ class Filter:
         offset_sigma_m: float,
         bow_sigma_m: float,
         stroke_m: float,
+        scale: float = 0.0,
     ) -> Filter:
         """At rest, with what is assumed of the displacement sensor."""
         sigma = [p_sigma_m, 0.0, 0.0, 0.0, scale_sigma, offset_sigma_m, bow_sigma_m]
-        return cls(Gaussian.diagonal([p_m, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], sigma), stroke_m)
+        return cls(Gaussian.diagonal([p_m, 0.0, 0.0, 0.0, scale, 0.0, 0.0], sigma), stroke_m)
 
     def copy(self) -> Filter:
         """Independent copy."""

@@ -7,10 +7,10 @@ were handed over. All that it remembers is one tree of plain data, `PipelineStat
 from __future__ import annotations
 
 from dataclasses import replace
-from math import acos, degrees, log, sqrt
+from math import acos, degrees, hypot, log, sqrt
 
 from estimation.belief import SEGMENT_OF, Phase
-from estimation.blocks import SAMPLES_PER_STEP
+from estimation.blocks import GAP_PERIODS, SAMPLES_PER_STEP
 from estimation.displacement_sensor import STUCK_READINGS
 from estimation.mount import Mount
 from estimation.mskf import SPEED, P, V
@@ -43,6 +43,7 @@ SILENT_IMU_S = 0.25
 SENSOR_CHANCE_S = 2.0
 UPSET_LOOK_BACK_S = 0.5  # an unexplained motion began before it was too large to explain
 FORBIDDEN_M, FORBIDDEN_SIGMA_M = 0.015, 0.03  # from an end of the stroke, and how well that must be known
+STOP_UNNOTICED_S = 0.2
 LEAST_UPRIGHT = 0.7  # cosine: a face dips, but not by 45 degrees
 PERIOD_STEPS = 1.1  # kernels fit step periods within 5 %; they are built on this geometric grid
 
@@ -144,9 +145,12 @@ class Pipeline:
         if s.first_ns is None:
             s.first_ns = s.last_ns = t_ns
         silent_s = (t_ns - s.last_ns) * 1e-9
-        if silent_s <= 0 or (silent_s < SILENT_IMU_S and not even_short):
+        # A slow source makes a step less often than it makes samples.
+        heard_ns = max(s.last_ns, s.cutter.last_ns or 0)
+        patience_s = max(SILENT_IMU_S, GAP_PERIODS * s.cutter.period_s)
+        if silent_s <= 0 or ((t_ns - heard_ns) * 1e-9 < patience_s and not even_short):
             return
-        if silent_s >= SILENT_IMU_S and s.belief.open_free is None:
+        if silent_s >= patience_s and s.belief.open_free is None:
             self._go_free(s.last_ns)
             s.bank = None  # what it saw no longer joins what it will see
             out.append(
@@ -367,12 +371,16 @@ class Pipeline:
 
     def _estimate(self, track: Track, step: Step, can_state: CanState, tier: Tier) -> Estimate:
         state = track.filter.state
+        sigma_m = state.sigma(P)
+        if tier is Tier.PROVISIONAL and track.phase is Phase.CRUISE and self._context().end_expected:
+            # The ram may have stopped a moment ago: a stop is recognised that much later.
+            sigma_m = hypot(sigma_m, STOP_UNNOTICED_S * state.x[V])
         lower, upper = track.chart.limits
         fresh = any(reading.usable for reading in step.readings)
         return Estimate(
             t_ns=step.t_ns,
             displacement_m=state.x[P],
-            sigma_m=state.sigma(P),
+            sigma_m=sigma_m,
             velocity_m_s=state.x[V],
             velocity_sigma_m_s=state.sigma(V),
             segment=SEGMENT_OF[track.phase],

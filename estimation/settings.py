@@ -75,8 +75,15 @@ class EstimatorSettings(Settings):
         description="noise of the observed displacement at the start [mm]; learned from the data",
     )
     can_offset_sigma_mm: float = Field(1.5, gt=0, le=100, description="offset of the observed displacement [mm]")
+    can_scale: float = Field(
+        -0.0075,
+        ge=-0.5,
+        le=0.5,
+        description="scale error of the observed displacement to expect before calibration, as a share; negative "
+        "because a sensor that lies oblique to the push reads short, never long",
+    )
     can_scale_sigma: float = Field(
-        0.02, gt=0, le=0.5, description="scale error of the observed displacement, as a share"
+        0.018, gt=0, le=0.5, description="scale error of the observed displacement, as a share"
     )
     can_curvature_sigma_mm: float = Field(
         1.2, gt=0, le=50, description="bow of the observed displacement at half stroke [mm]"

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import io
 import json
+import logging
 import shutil
+import sys
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -50,3 +53,15 @@ def short_path() -> Iterator[Path]:
     folder = Path(tempfile.mkdtemp(prefix="rs-", dir="/tmp"))
     yield folder
     shutil.rmtree(folder, ignore_errors=True)
+
+
+@pytest.fixture
+def unsettled_process() -> Iterator[None]:
+    """The application sets up its process for ever; this one goes on with other tests."""
+    threshold, interval, level = gc.get_threshold(), sys.getswitchinterval(), logging.getLogger().level
+    logging.getLogger().setLevel(logging.INFO)
+    yield
+    gc.unfreeze()
+    gc.set_threshold(*threshold)
+    sys.setswitchinterval(interval)
+    logging.getLogger().setLevel(level)

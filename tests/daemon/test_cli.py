@@ -53,9 +53,7 @@ def test_help_of_every_command_ends_with_an_example(command: str, capsys: pytest
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_an_unknown_option_of_any_command_is_wrong_usage(
-    command: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_unknown_option_of_any_command_is_wrong_usage(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([command, "--frobnicate"]) == 2
     printed = capsys.readouterr()
     assert printed.out == ""
@@ -141,9 +139,7 @@ def test_sim_serves_no_other_transport(tmp_path: Path, capsys: pytest.CaptureFix
     path = tmp_path / "x.toml"
     path.write_text('[imu]\ntransport = "virtual"\n')
     assert main(["sim", "--config", str(path)]) == 2
-    assert capsys.readouterr().err == (
-        f'ramstroke: {path}: sim serves imu.transport = "socket", not "virtual"\n'
-    )
+    assert capsys.readouterr().err == (f'ramstroke: {path}: sim serves imu.transport = "socket", not "virtual"\n')
 
 
 def test_status_without_a_daemon_says_what_to_do(short_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -156,7 +152,9 @@ def test_status_without_a_daemon_says_what_to_do(short_path: Path, capsys: pytes
     )
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["check-config", "good.toml", "--json"], ["check-config", "good.toml"]])
+@pytest.mark.parametrize(
+    "arguments", [["--help"], ["check-config", "good.toml", "--json"], ["check-config", "good.toml"]]
+)
 def test_a_reader_that_has_gone_gets_no_traceback(arguments: list[str], tmp_path: Path) -> None:
     (tmp_path / "good.toml").write_text("")
     reading, writing = os.pipe()

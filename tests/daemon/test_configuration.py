@@ -45,8 +45,7 @@ WRONG_FILES: dict[str, tuple[str, str]] = {
     ),
     "wrong type": (
         '[support]\nstroke_mm = "half a metre"\n',
-        ":2: [support] stroke_mm = 'half a metre': must be a valid number, unable to parse string as a number "
-        "(in mm)",
+        ":2: [support] stroke_mm = 'half a metre': must be a valid number, unable to parse string as a number (in mm)",
     ),
     "value that is none of the choices": (
         '[imu]\ntransport = "usb"\n',
@@ -93,8 +92,7 @@ WRONG_FILES: dict[str, tuple[str, str]] = {
     ),
     "budget below one file": (
         "[recording]\nbudget_mb = 10\n",
-        ":2: [recording] budget_mb = 10 is smaller than one file (rotate_mb = 256): "
-        "raise budget_mb or lower rotate_mb",
+        ":2: [recording] budget_mb = 10 is smaller than one file (rotate_mb = 256): raise budget_mb or lower rotate_mb",
     ),
     "preset and DBC file": (
         '[can.displacement]\npreset = "cia406"\ndbc = "own.dbc"\n',
@@ -129,9 +127,7 @@ WRONG_FILES: dict[str, tuple[str, str]] = {
 
 
 @pytest.mark.parametrize("what", WRONG_FILES)
-def test_a_wrong_file_is_refused_in_one_sentence(
-    what: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_wrong_file_is_refused_in_one_sentence(what: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     text, said = WRONG_FILES[what]
     path = tmp_path / "wrong.toml"
     path.write_text(text)

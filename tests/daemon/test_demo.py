@@ -111,9 +111,7 @@ def test_a_folder_that_cannot_be_made_is_told_before_the_work(
         assert main(["demo", "--out", str(tmp_path / out)]) == 1
         printed = capsys.readouterr()
         assert printed.out == ""
-        assert printed.err == (
-            f"ramstroke: cannot make the folder {tmp_path / out} ({reason}): choose another --out\n"
-        )
+        assert printed.err == (f"ramstroke: cannot make the folder {tmp_path / out} ({reason}): choose another --out\n")
 
 
 def test_a_recording_that_cannot_be_written_is_told(
@@ -121,16 +119,12 @@ def test_a_recording_that_cannot_be_written_is_told(
 ) -> None:
     SmallDisk(room=100_000).hold_what_is_written(monkeypatch)
     assert main(["demo", "--out", str(tmp_path)]) == 1
-    assert capsys.readouterr().err == (
-        f"ramstroke: cannot write {tmp_path}/demo.mcap: No space left on device\n"
-    )
+    assert capsys.readouterr().err == (f"ramstroke: cannot write {tmp_path}/demo.mcap: No space left on device\n")
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("seed", ["-1", "one", "1.5"])
-def test_a_seed_that_is_none_is_wrong_usage(
-    seed: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_seed_that_is_none_is_wrong_usage(seed: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["demo", f"--seed={seed}", "--out", str(tmp_path / "out")]) == 2
     assert "--seed" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()

@@ -192,6 +192,20 @@ def test_closing_ends_the_connection_of_every_viewer_slow_ones_too(
     assert caplog.records == []
 
 
+def test_the_end_with_viewers_still_there_is_quiet(short_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    async def scene(server: LiveServer) -> None:
+        for viewer in viewers:
+            viewer.connect(str(short_path / "s"))
+        await until(lambda: server.viewers == len(viewers))
+
+    viewers = [socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) for _ in range(3)]
+    with caplog.at_level(logging.WARNING):
+        serve(short_path / "s", scene)
+    assert caplog.records == []
+    for viewer in viewers:
+        viewer.close()
+
+
 def leave_stale_socket(path: Path) -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as dead:
         dead.bind(str(path))
@@ -232,7 +246,7 @@ def test_a_busy_daemon_that_cannot_answer_at_once_is_not_driven_out(short_path: 
 def test_a_file_in_the_way_is_refused_and_kept(short_path: Path) -> None:
     path = short_path / "s"
     path.write_text("mine")
-    with pytest.raises(OSError, match="cannot serve viewers on .*it exists and is no socket"):
+    with pytest.raises(OSError, match=r"cannot serve viewers on .*it exists and is no socket"):
         asyncio.run(LiveServer(path, lambda: HELLO).start())
     assert path.read_text() == "mine"
 
@@ -241,7 +255,7 @@ def test_a_place_where_no_socket_can_be_is_refused_by_name(short_path: Path) -> 
     too_long = short_path / ("x" * 150)
     (short_path / "file").touch()
     for path in (too_long, short_path / "file" / "s"):
-        with pytest.raises(OSError, match="correct service.socket") as refused:
+        with pytest.raises(OSError, match=r"correct service\.socket") as refused:
             asyncio.run(LiveServer(path, lambda: HELLO).start())
         assert str(path) in str(refused.value)
 
@@ -261,5 +275,5 @@ def test_the_client_tells_a_daemon_from_something_else(answer: bytes, short_path
 
 
 def test_the_client_says_when_nobody_answers(short_path: Path) -> None:
-    with pytest.raises(CommandError, match="no daemon answers on .*/s .*: start `ramstroke run`"):
+    with pytest.raises(CommandError, match=r"no daemon answers on .*/s .*: start `ramstroke run`"):
         first_line(short_path / "s")

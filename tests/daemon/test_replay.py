@@ -108,9 +108,7 @@ def test_the_demo_is_reproduced_bit_for_bit(demo_run: DemoRun, capsys: pytest.Ca
 
 @pytest.mark.parametrize("topic", ESTIMATES)
 @pytest.mark.parametrize("place", [0, 700])
-def test_one_estimate_that_differs_in_its_last_bit_is_seen(
-    topic: str, place: int, short: Path, tmp_path: Path
-) -> None:
+def test_one_estimate_that_differs_in_its_last_bit_is_seen(topic: str, place: int, short: Path, tmp_path: Path) -> None:
     number = -1
 
     def alter(of: str, record: Recorded) -> Recorded:
@@ -304,9 +302,7 @@ def test_outputs_that_cannot_be_written_are_told_and_leave_nothing(
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
-def test_a_replay_that_fails_leaves_no_half_table(
-    short: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_replay_that_fails_leaves_no_half_table(short: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
@@ -385,9 +381,7 @@ def changed(settings: Settings, **sections: dict[str, Any]) -> Settings:
 
 
 def preamble(settings: Settings, stream: Stream) -> Preamble:
-    return Preamble(
-        describe("recording", settings.model_dump_json()), {SNAPSHOT: stream.snapshot(), LEARNED: b"{}"}
-    )
+    return Preamble(describe("recording", settings.model_dump_json()), {SNAPSHOT: stream.snapshot(), LEARNED: b"{}"})
 
 
 @pytest.mark.parametrize("block_samples", [1, 8, 13, 64])
@@ -455,7 +449,7 @@ def test_each_file_of_a_rotated_recording_is_reproduced_alone(tmp_path: Path) ->
     assert recorders[0].close()
     counters = recorders[0].counters
     assert (counters.dropped, counters.errors) == (0, 0)
-    files = sorted(tmp_path.iterdir())
+    files = sorted(tmp_path.iterdir(), key=lambda path: path.stat().st_mtime_ns)
     assert len(files) == counters.files >= 4
     kept: list[bytes] = []
     for path in files:
@@ -463,8 +457,7 @@ def test_each_file_of_a_rotated_recording_is_reproduced_alone(tmp_path: Path) ->
         assert (result.identical, result.damage) == (True, []), path
         assert path == files[-1] or result.samples > 1000
         kept += [
-            TOPICS[topic].encode(record)
-            for topic, record in Recording(path).messages((topics.IMU_RAW, topics.CAN_RX))
+            TOPICS[topic].encode(record) for topic, record in Recording(path).messages((topics.IMU_RAW, topics.CAN_RX))
         ]
     assert kept == inputs
 

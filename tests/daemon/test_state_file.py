@@ -14,7 +14,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daemon import state_file
 from daemon.recording import topics
 from daemon.recording.topics import Recorded, RecordedDisplacement
 from daemon.settings import Settings
@@ -24,9 +23,7 @@ from estimation.pipeline import Start
 from estimation.records import CanState, Displacement, Estimate, Event, ImuSample
 
 NOW_S = 1_800_000_000.0
-AT_300 = SavedStroke(
-    wall_time_s=NOW_S - 3600, stroke_mm=500, displacement_mm=300, sigma_mm=2, at_rest=True
-)
+AT_300 = SavedStroke(wall_time_s=NOW_S - 3600, stroke_mm=500, displacement_mm=300, sigma_mm=2, at_rest=True)
 
 
 def estimates_at_rest(
@@ -186,9 +183,7 @@ def test_no_bytes_whatever_stop_the_start(data: bytes) -> None:
     wall_time_s=st.floats(0, 1e308),
     displacement_mm=st.floats(-1e308, 1e308),
 )
-def test_no_numbers_claim_more_than_was_known(
-    sigma_mm: float, wall_time_s: float, displacement_mm: float
-) -> None:
+def test_no_numbers_claim_more_than_was_known(sigma_mm: float, wall_time_s: float, displacement_mm: float) -> None:
     start = SavedStroke(
         wall_time_s=wall_time_s,
         stroke_mm=500,
@@ -205,9 +200,9 @@ class Crash(Exception):
     """The power goes."""
 
 
-@pytest.mark.parametrize("step", ["fsync", "replace"])
+@pytest.mark.parametrize(("owner", "step"), [(os, "fsync"), (Path, "replace")])
 def test_a_crash_while_saving_leaves_the_old_file(
-    step: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    owner: object, step: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "state.json"
     save(path, AT_300)
@@ -217,7 +212,7 @@ def test_a_crash_while_saving_leaves_the_old_file(
         raise Crash
 
     with monkeypatch.context() as patch:
-        patch.setattr(*((state_file.os, "fsync") if step == "fsync" else (Path, "replace")), crash)
+        patch.setattr(owner, step, crash)
         with pytest.raises(Crash):
             save(path, AT_300.model_copy(update={"displacement_mm": 111.0}))
     assert path.read_bytes() == before
@@ -226,12 +221,15 @@ def test_a_crash_while_saving_leaves_the_old_file(
     assert [p.name for p in tmp_path.iterdir()] == ["state.json"]
 
 
-def test_the_data_are_on_the_disk_before_the_name_changes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_data_are_on_the_disk_before_the_name_changes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     steps: list[str] = []
-    fsync, replace = os.fsync, Path.replace
-    monkeypatch.setattr(state_file.os, "fsync", lambda fd: (steps.append("fsync"), fsync(fd)))
-    monkeypatch.setattr(Path, "replace", lambda self, to: (steps.append("replace"), replace(self, to))[1])
+    real_replace = Path.replace
+
+    def replace(path: Path, target: Path) -> Path:
+        steps.append(f"rename to {target.name}")
+        return real_replace(path, target)
+
+    monkeypatch.setattr(os, "fsync", lambda _: steps.append("fsync"))
+    monkeypatch.setattr(Path, "replace", replace)
     save(tmp_path / "state.json", AT_300)
-    assert steps == ["fsync", "replace"]
+    assert steps == ["fsync", "rename to state.json"]

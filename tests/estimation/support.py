@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,16 +38,17 @@ class Run:
     true_m: Floats
     moves: tuple[TrueMove, ...]
 
-    def samples(self) -> list[ImuSample]:
+    @cached_property
+    def samples(self) -> tuple[ImuSample, ...]:
         """The inertial samples."""
-        return [
+        return tuple(
             ImuSample(t, (a, b, c), (x, y, z))
             for t, (a, b, c), (x, y, z) in zip(self.t_ns.tolist(), self.gyro.tolist(), self.accel.tolist(), strict=True)
-        ]
+        )
 
     def records(self, readings: Iterable[Displacement] | None = None) -> list[Record]:
         """Everything in order of time; `readings` replaces what the displacement sensor said."""
-        return merged(self.samples(), self.readings if readings is None else readings)
+        return merged(self.samples, self.readings if readings is None else readings)
 
     def truth_m(self, t_ns: int | NDArray[np.int64]) -> Floats:
         """True displacement."""

@@ -141,11 +141,13 @@ def test_illness_of_the_value_goes_before_its_age_but_silence_before_all() -> No
 
 
 def test_a_slow_source_is_not_called_late_at_its_own_pace() -> None:
-    sensor = DisplacementSensor(NOISE_M**2, stroke_m=0.5)
+    sensor = DisplacementSensor(NOISE_M**2, stroke_m=0.5, timeout_s=2.0)
     for i in range(60):
         sensor.judge(Displacement(i * 500_000_000, 0.1 + 0.001 * (i % 2)), 0.1)
-    assert sensor.state(59 * 500_000_000 + 490_000_000) is CanState.OK
-    assert sensor.state(59 * 500_000_000 + 1_600_000_000) is CanState.LATE
+    last_ns = 59 * 500_000_000
+    assert sensor.state(last_ns + 490_000_000) is CanState.OK
+    assert sensor.state(last_ns + 1_600_000_000) is CanState.LATE
+    assert sensor.state(last_ns + 2_100_000_000) is CanState.SILENT
 
 
 def test_identical_readings_at_rest_are_what_a_quiet_sensor_gives() -> None:

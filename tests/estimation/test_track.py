@@ -118,3 +118,17 @@ def test_a_reading_outside_the_gate_is_refused_and_told() -> None:
     assert of.innovation_m == pytest.approx(0.1, abs=0.002)
     assert 0.0 < of.gate_m < 0.1
     assert of.filter.state.x[P] == pytest.approx(p_m, abs=0.002)
+
+
+def test_rest_levels_a_sensor_that_has_been_tilted_within_seconds() -> None:
+    of, settings = track()
+    play(of, Belief(), settings, 0.0, 5.0)
+    tilted = (0.0, 9.80665 * math.sin(0.02), 9.80665 * math.cos(0.02))
+    felt = []
+    for i in range(501, 1401):
+        of.advance(Step(i * 10**7, 0.01, tilted, (0.0,) * 3, tilted), Belief(), settings, 0.0)
+        felt.append(of.acceleration_m_s2)
+    # Without a rate that told of it, the tilt fades with the time constant of the level, 3 s.
+    assert felt[0] == pytest.approx(9.80665 * 0.02, rel=0.01)
+    assert felt[299] == pytest.approx(felt[0] / math.e, rel=0.02)
+    assert felt[-1] < 0.06 * felt[0]

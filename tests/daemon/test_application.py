@@ -1,0 +1,325 @@
+"""The daemon as one program, in this process and in real time, on the virtual part and the virtual bus."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import os
+import signal
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import can
+import pytest
+
+from daemon import application, state_file
+from daemon.application import Application
+from daemon.cli import main
+from daemon.live_client import first_line
+from daemon.notify import Notifier
+from daemon.recording import topics
+from daemon.recording.reader import Recording
+from daemon.recording.topics import Health, LogLine, Recorded
+from daemon.replay import replay
+from daemon.settings import Settings
+from drivers.can.estimate_frame import decode_estimate
+from drivers.can.frame import Frame
+from drivers.can.interface import to_frame
+from estimation.records import Segment
+from tests.daemon.application_kit import PATIENCE_S, Viewer, forever, run, settings_in
+
+pytestmark = pytest.mark.usefixtures("unsettled_process")
+
+
+def recorded(settings: Settings) -> tuple[Path, dict[str, list[Recorded]]]:
+    """The one file of the run, with its messages by topic."""
+    (path,) = settings.recording.directory.iterdir()
+    messages: dict[str, list[Recorded]] = {}
+    recording = Recording(path)
+    for topic, record in recording.messages():
+        messages.setdefault(topic, []).append(record)
+    assert (recording.complete, recording.lost, recording.damage) == (True, 0, [])
+    return path, messages
+
+
+def frames_of(records: list[Recorded]) -> list[Frame]:
+    return [record for record in records if isinstance(record, Frame)]
+
+
+@pytest.fixture
+def systemd(short_path: Path) -> Iterator[socket.socket]:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as channel:
+        channel.bind(str(short_path / "notify"))
+        channel.setblocking(False)
+        yield channel
+
+
+def words(channel: socket.socket) -> list[str]:
+    said = []
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            said.append(channel.recv(4096).decode())
+    return said
+
+
+def test_a_run_measures_records_publishes_and_tells(
+    short_path: Path, systemd: socket.socket, capsys: pytest.CaptureFixture[str]
+) -> None:
+    settings = settings_in(short_path)
+    viewer = Viewer(settings)
+    seen: list[Frame] = []
+    greetings: list[dict[str, Any]] = []
+    printed: list[str] = []
+
+    async def scene() -> None:
+        with can.Bus(interface="virtual", channel=settings.can.channel) as third:
+            await viewer.read_until(lambda line: line["type"] == "status" and line["estimate"] is not None)
+            for _ in range(2):
+                await viewer.read_until(lambda line: line["type"] == "status")
+            greetings.append(await asyncio.to_thread(first_line, settings.service.socket))
+            config = short_path / "c.toml"
+            config.write_text(f'[service]\nsocket = "{settings.service.socket}"\n')
+            assert await asyncio.to_thread(main, ["status", "--config", str(config)]) == 0
+            printed.append(capsys.readouterr().out)
+            while (message := third.recv(0)) is not None:
+                if message.arbitration_id == settings.can.publish.arbitration_id:
+                    seen.append(to_frame(message, 0))
+
+    run(Application(settings, Notifier(str(short_path / "notify"))), scene)
+
+    # viewers
+    (greeting,) = greetings
+    assert greeting["type"] == "hello"
+    assert greeting.keys() >= {"version", "stroke_mm", "t_s", "imu", "can", "recorder", "live", "estimate"}
+    assert greeting["imu"]["state"] == greeting["can"]["state"] == "running"
+    assert greeting["imu"]["starts"] == 1
+    assert greeting["imu"]["samples"] > 500
+    assert greeting["can"]["received"] > 20
+    assert greeting["can"]["sent"] > 10
+    assert [source.keys() for source in greeting["can"]["sources"]] == [{"malformed", "out_of_range", "invalid"}] * 2
+    assert greeting["recorder"]["state"] == "recording"
+    assert greeting["recorder"]["messages"] > 500
+    assert greeting["live"] == {"viewers": 1, "dropped": 0, "refused": 0}  # beside the asker
+    assert greeting["loop_late_ms"] >= 0
+    assert abs(greeting["estimate"]["displacement_mm"]) < 4 * greeting["estimate"]["sigma_mm"] < 40
+    assert (greeting["estimate"]["segment"], greeting["estimate"]["can_state"]) == ("ZUPT", "ok")
+    assert len(viewer.of("status")) >= 3
+    assert len(viewer.of("estimate")) > 5 * len(viewer.of("status"))
+    for word in ("stroke", "mm (1σ)", "imu", "running", "recorder", "recording", "viewers"):
+        assert word in printed[0]
+
+    # recording
+    path, messages = recorded(settings)
+    assert replay(path).identical is True
+    healths = [json.loads(r.json) for r in messages[topics.HEALTH] if isinstance(r, Health)]
+    assert len(healths) >= 3
+    assert all(health["imu"]["state"] == "running" for health in healths[1:])
+    assert any(isinstance(r, LogLine) and r.text.endswith(" runs") for r in messages[topics.LOG])
+    assert topics.TICK not in messages  # the part was never silent, not even while it started
+    assert topics.EVENTS not in messages
+
+    # CAN
+    sent = frames_of(messages[topics.CAN_TX])
+    assert len(seen) > 10
+    assert [frame.data for frame in sent[: len(seen)]] == [frame.data for frame in seen]
+    estimates = [decode_estimate(frame) for frame in seen]
+    assert [e.counter for e in estimates] == [i % 16 for i in range(len(seen))]
+    assert all(e.segment is Segment.ZUPT for e in estimates)
+    span_s = (sent[-1].t_ns - sent[0].t_ns) * 1e-9
+    assert span_s == pytest.approx(0.1 * (len(sent) - 1), rel=0.2)
+    assert all(frame.arbitration_id != 0x6F0 for frame in frames_of(messages[topics.CAN_RX]))
+
+    # what remains
+    assert not settings.service.socket.exists()
+    start = state_file.load(settings.service.state_file, 500)
+    assert start.displacement_m is not None
+    assert abs(start.displacement_m) < 0.02
+    assert start.only_without_sensor
+    said = words(systemd)
+    assert said[0] == "READY=1"
+    assert said[-1] == "STOPPING=1"
+    assert said.count("STOPPING=1") == said.count("READY=1") == 1
+    assert said.count("WATCHDOG=1") >= 2
+    assert any("mm, ZUPT; imu running; can running; recorder recording" in word for word in said)
+
+
+def test_the_watchdog_is_fed_by_data_alone(
+    short_path: Path, systemd: socket.socket, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without sensor and frames the estimates go on, blind; that is no reason to call the program alive."""
+    monkeypatch.setattr(application, "START_UP_S", 0.3)
+    monkeypatch.setattr(application, "HEALTH_S", 0.4)
+    settings = settings_in(short_path, imu={"transport": "socket", "socket_path": str(short_path / "nobody")})
+    viewer = Viewer(settings)
+    before: list[str] = []
+
+    async def scene() -> None:
+        with can.Bus(interface="virtual", channel=settings.can.channel) as controller:
+            await viewer.read_until(lambda line: line["type"] == "status" and line["estimate"] is not None)
+            for _ in range(3):
+                await viewer.read_until(lambda line: line["type"] == "status")
+            before.extend(words(systemd))
+            frames = 0
+            while "WATCHDOG=1" not in words(systemd):
+                message = can.Message(arbitration_id=0x311, data=bytes(8), is_extended_id=False)
+                controller.send(message)
+                frames += 1
+                await asyncio.sleep(0.02)
+            assert frames > 1
+
+    run(Application(settings, Notifier(str(short_path / "notify"))), scene)
+    assert "READY=1" in before
+    assert sum(word.startswith("STATUS=") for word in before) >= 3
+    assert "WATCHDOG=1" not in before
+    assert "imu waiting: no virtual sensor answers at" in before[-1]
+    assert viewer.of("estimate")
+    path, messages = recorded(settings)
+    assert len(messages[topics.TICK]) > 5
+    assert len(messages[topics.EVENTS]) == 1
+    assert replay(path).identical is True
+
+
+def test_a_sensor_that_takes_its_time_to_start_does_not_cost_the_saved_stroke(
+    short_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Until the part has had time to start it is not silent, and no time passes blindly."""
+    monkeypatch.setattr(application, "HEALTH_S", 0.2)
+    settings = settings_in(
+        short_path,
+        imu={"transport": "socket", "socket_path": str(short_path / "nobody")},
+        can={"enabled": False},
+    )
+    viewer = Viewer(settings)
+
+    async def scene() -> None:
+        for _ in range(5):
+            await viewer.read_until(lambda line: line["type"] == "status")
+
+    run(Application(settings), scene)
+    _, messages = recorded(settings)
+    assert messages.keys() == {topics.LOG, topics.HEALTH}
+    assert not settings.service.state_file.exists()  # nothing to remember
+
+
+def test_a_stop_during_the_start_ends_cleanly(short_path: Path, systemd: socket.socket) -> None:
+    settings = settings_in(short_path)
+    stopped = Application(settings, Notifier(str(short_path / "notify")))
+    stopped.stop()
+    asyncio.run(asyncio.wait_for(stopped.run(), PATIENCE_S))
+    recorded(settings)
+    assert not settings.service.socket.exists()
+    assert words(systemd) == ["READY=1", "STOPPING=1"]
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_ends_the_run_cleanly(number: signal.Signals, short_path: Path) -> None:
+    settings = settings_in(short_path, can={"enabled": False})
+    viewer = Viewer(settings)
+
+    async def scene() -> None:
+        await viewer.read_until(lambda line: line["type"] == "estimate")
+        os.kill(os.getpid(), number)
+        await forever()
+
+    run(Application(settings), scene)
+    path, _ = recorded(settings)
+    assert replay(path).identical is True
+
+
+async def fail() -> None:
+    raise ZeroDivisionError("a fault of the program")
+
+
+def test_a_fault_in_a_task_ends_the_run_with_it(short_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    settings = settings_in(short_path)
+    faulty = Application(settings)
+    monkeypatch.setattr(faulty, "_watch_health", fail)
+    with pytest.raises(ZeroDivisionError):
+        run(faulty, forever)
+    recorded(settings)
+    assert not settings.service.socket.exists()
+
+
+@pytest.mark.parametrize(("topic", "number"), [(topics.IMU_RAW, 60), (topics.CAN_RX, 150)])
+def test_a_fault_in_the_estimator_ends_the_run_with_it_and_a_whole_recording(
+    topic: str, number: int, short_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settings = settings_in(short_path)
+    faulty = Application(settings)
+    taken: list[str] = []
+    take, stream = faulty._stream.take, faulty._stream
+
+    def take_some(of: str, record: Recorded) -> None:
+        take(of, record)
+        taken.append(of)
+        if of == topic and taken.count(topic) >= number:
+            raise ZeroDivisionError
+
+    monkeypatch.setattr(stream, "take", take_some)
+    monkeypatch.setattr(stream, "finish", lambda: pytest.fail("a broken estimator was asked for more"))
+    with pytest.raises(ZeroDivisionError):
+        run(faulty, forever)
+    path, messages = recorded(settings)
+    assert taken.count(topic) == len(messages[topic]) == number
+    monkeypatch.undo()
+    assert replay(path).identical is True
+
+
+def test_a_socket_in_use_is_told_in_one_sentence(short_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    config, path = short_path / "c.toml", short_path / "live"
+    config.write_text(
+        '[imu]\ntransport = "virtual"\n[can]\nenabled = false\n'
+        f'[recording]\ndirectory = "{short_path}/recordings"\n'
+        f'[service]\nsocket = "{path}"\nstate_file = "{short_path}/state.json"\n'
+    )
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as other:
+        other.bind(str(path))
+        other.listen()
+        assert main(["run", "--config", str(config)]) == 1
+    assert capsys.readouterr().err.endswith(
+        f"ramstroke: cannot serve viewers on {path} (another daemon already serves it): correct service.socket\n"
+    )
+    assert not (short_path / "recordings").exists()  # nothing half-started
+
+
+def test_without_recorder_and_can_the_stroke_is_estimated_all_the_same(short_path: Path) -> None:
+    settings = settings_in(short_path, recording={"enabled": False}, can={"enabled": False})
+    viewer = Viewer(settings)
+    statuses: list[dict[str, Any]] = []
+
+    async def scene() -> None:
+        await viewer.read_until(lambda line: line["type"] == "estimate")
+        statuses.append(await viewer.read_until(lambda line: line["type"] == "status"))
+
+    run(Application(settings), scene)
+    assert statuses[0]["recorder"] == {"state": "disabled"}
+    assert statuses[0]["can"] == {"state": "disabled"}
+    assert statuses[0]["estimate"]["can_state"] == "absent"
+    assert not settings.recording.directory.exists()
+
+
+def test_a_disk_that_refuses_stops_neither_estimates_nor_the_end(
+    short_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    (short_path / "recordings").write_text("in the way")
+    (short_path / "state").write_text("in the way")
+    settings = settings_in(
+        short_path, can={"enabled": False}, service={"state_file": str(short_path / "state" / "s.json")}
+    )
+    viewer = Viewer(settings)
+
+    async def scene() -> None:
+        await viewer.read_until(lambda line: line["type"] == "estimate")
+        await viewer.read_until(
+            lambda line: (
+                line["type"] == "status"
+                and line["recorder"]["state"].startswith("waiting: cannot write to")
+                and line["recorder"]["dropped_no_disk"] > 0
+            )
+        )
+
+    run(Application(settings), scene)
+    assert any(line.startswith(f"cannot write {short_path}/state/s.json: ") for line in caplog.messages)
