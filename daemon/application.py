@@ -37,7 +37,7 @@ HEALTH_S = 1.0
 TICK_S = 0.1
 SILENT_IMU_S = 0.25
 # The part is reset, tested and configured meanwhile: not silent yet, and what is known of the stroke still holds.
-START_UP_S = 3.0
+START_UP_S = 10.0
 LIVE_ESTIMATE_S = 0.1
 SAVE_STATE_S = 5.0
 # The reader thread must get the interpreter within half a millisecond: the part has no FIFO.
@@ -228,7 +228,7 @@ class Application:
     # --- health -----------------------------------------------------------------------------------------------
 
     async def _watch_health(self) -> None:
-        """Once a second: a record, a line for viewers and systemd; the watchdog only if data have moved."""
+        """Once a second: a record, a line for viewers and systemd; the watchdog only if something has moved."""
         moved_before = self._moved()
         while True:
             await asyncio.sleep(HEALTH_S)
@@ -238,16 +238,21 @@ class Application:
             self._live.push("status", health)
             self._notifier.status(_status_line(health))
             moved = self._moved()
-            # Estimates alone prove nothing: they go on, blind, when all sensors are dead.
+            # Estimates alone prove nothing: they go on, blind, when all sensors hang.
             if moved[0] != moved_before[0] and moved[1] != moved_before[1]:
                 self._notifier.watchdog()
             moved_before = moved
             self._loop_late_s = 0.0
 
     def _moved(self) -> tuple[int, int]:
-        """What came in so far, and the estimates made of it."""
-        frames = 0 if self._bus is None else self._bus.counters.received
-        return self._stream.samples + frames, self._steps
+        """What came in so far, attempts to reach a missing device included, and the estimates made meanwhile.
+
+        A support that is switched off must not get its daemon killed for ever.
+        """
+        came = self._stream.samples + self._imu.attempts
+        if self._bus is not None:
+            came += self._bus.counters.received + self._bus.counters.failures
+        return came, self._steps
 
     def _health(self) -> dict[str, Any]:
         health: dict[str, Any] = {

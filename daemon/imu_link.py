@@ -79,6 +79,7 @@ class ImuLink:
         self.state = "waiting: not started yet"
         self.identity: Identity | None = None
         self.starts = 0
+        self.attempts = 0  # to start the part
 
     def start(self) -> None:
         """Start the thread."""
@@ -105,6 +106,7 @@ class ImuLink:
         retry_s = FIRST_RETRY_S / 2
         while not self._stopping.is_set():
             starts = self.starts
+            self.attempts += 1
             try:
                 self._acquire()
             except Exception as error:

@@ -47,6 +47,7 @@ class DisplacementSensor:
     period_s: float = 0.1
     same_in_row: int = 0
     row_began_m: float = 0.0  # the prediction when the row of identical readings began
+    was_known: bool = False  # whether the last prediction was worth comparing with
     near_in_row: int = 0  # readings since the prediction was last far from there
     rejected_in_row: int = 0
     accepted_in_row: int = 0
@@ -55,8 +56,11 @@ class DisplacementSensor:
     stuck: bool = False
     biased: bool = False
 
-    def judge(self, reading: Displacement, predicted_m: float) -> Reading:
-        """Take one reading in, with what the estimator expects of it; says whether it may be used."""
+    def judge(self, reading: Displacement, predicted_m: float, *, known: bool = True) -> Reading:
+        """Take one reading in, with what the estimator expects of it; says whether it may be used.
+
+        `known`: the prediction is more than a guess. The jump from a guess to the first fused reading is no travel.
+        """
         if self.last_ns is not None:
             gap_s = (reading.t_ns - self.last_ns) * 1e-9
             if 0 < gap_s < LONGEST_PERIOD_S:
@@ -69,8 +73,8 @@ class DisplacementSensor:
             return Reading(reading.t_ns, reading.value_m, usable=False)
 
         if not first and reading.value_m == self.last_value_m:
-            if self.same_in_row == 0:
-                # Not the first prediction of the row: that one may have known nothing of the value yet.
+            # Not the first prediction of the row: that one may have known nothing of the value yet.
+            if self.same_in_row == 0 or not (known and self.was_known):
                 self.row_began_m = predicted_m
             self.same_in_row += 1
         else:
@@ -78,6 +82,7 @@ class DisplacementSensor:
                 self._learn_noise(reading.value_m - predicted_m, self.last_value_m - self.last_prediction_m)
             self.same_in_row = 0
         self.last_value_m, self.last_prediction_m = reading.value_m, predicted_m
+        self.was_known = known
         self._look_for_freezing(predicted_m)
         return Reading(
             reading.t_ns,

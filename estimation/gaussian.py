@@ -20,6 +20,11 @@ class Gaussian:
     x: list[float]
     p: list[list[float]]
 
+    def __post_init__(self) -> None:
+        n = len(self.x)
+        if len(self.p) != n or any(len(row) != n for row in self.p):
+            raise ValueError("mean and covariance differ in size")
+
     @classmethod
     def diagonal(cls, mean: Sequence[float], sigma: Sequence[float]) -> Gaussian:
         """Independent states with the given means and standard deviations."""

@@ -18,7 +18,8 @@ from math import exp, hypot, sqrt
 from estimation.gaussian import Gaussian
 from estimation.kernels import ACCEL_NOISE, GYRO_WALK
 
-P, V, SPEED, B, SCALE, OFFSET, BOW = range(7)
+STATES = 7
+P, V, SPEED, B, SCALE, OFFSET, BOW = range(STATES)
 
 CREEP_M = 1e-5  # per sqrt(s) at rest
 LEVEL_DRIFT_M_S2 = 3e-4  # of the rest level, beside its averaged noise
@@ -48,6 +49,10 @@ class Filter:
 
     state: Gaussian
     stroke_m: float
+
+    def __post_init__(self) -> None:
+        if len(self.state.x) != STATES:
+            raise ValueError(f"the filter has {STATES} states, not {len(self.state.x)}")
 
     @classmethod
     def start(

@@ -42,7 +42,8 @@ WARM_UP_S = 3.0  # gyro bias and level must be known before a burst can be told 
 SILENT_IMU_S = 0.25
 SENSOR_CHANCE_S = 2.0
 UPSET_LOOK_BACK_S = 0.5  # an unexplained motion began before it was too large to explain
-FORBIDDEN_M, FORBIDDEN_SIGMA_M = 0.015, 0.03  # from an end of the stroke, and how well that must be known
+KNOWN_SIGMA_M = 0.03  # a stroke known no better than this is a guess
+FORBIDDEN_M = 0.015  # from an end of the stroke
 STOP_UNNOTICED_S = 0.2
 LEAST_UPRIGHT = 0.7  # cosine: a face dips, but not by 45 degrees
 PERIOD_STEPS = 1.1  # kernels fit step periods within 5 %; they are built on this geometric grid
@@ -123,7 +124,8 @@ class Pipeline:
         self._pass_time(reading.t_ns, out)
         predicted_m, _ = s.head.filter.displacement_prediction((s.last_ns - reading.t_ns) * 1e-9 + self._latency_s)
         was_stuck = s.sensor.stuck
-        judged = s.sensor.judge(reading, predicted_m)
+        known = s.head.filter.state.sigma(P) < KNOWN_SIGMA_M
+        judged = s.sensor.judge(reading, predicted_m, known=known)
         s.pending.append(judged)
         if judged.usable:
             s.slope.add(reading.t_ns, reading.value_m)
@@ -253,7 +255,7 @@ class Pipeline:
         s = self.state
         state, stroke_m = s.head.filter.state, self._support.stroke_mm / 1e3
         p, sigma = state.x[P], state.sigma(P)
-        known = sigma < FORBIDDEN_SIGMA_M
+        known = sigma < KNOWN_SIGMA_M
         end_m = stroke_m if s.head.direction > 0 else 0.0
         near_m = 3.0 * sqrt(sigma**2 + (0.02 * abs(p - s.head.start_m)) ** 2)
         return Context(

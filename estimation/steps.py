@@ -85,6 +85,10 @@ class StepBank:
             self.push_m_s2, self.tilt_rate_rad_s, self.levelled_m_s2 = np.zeros((3, self._long.window))
             self.x = np.zeros((depth, len(SPECS)))
             self.sigma = np.ones((depth, len(SPECS)))
+        windows, histories = (self._long.window,), (depth, len(SPECS))
+        shapes = {self.push_m_s2.shape, self.tilt_rate_rad_s.shape, self.levelled_m_s2.shape}
+        if shapes != {windows} or {self.x.shape, self.sigma.shape} != {histories}:
+            raise ValueError("windows and histories do not fit the block period")
         self.times_ns = deque(self.times_ns, maxlen=depth)
         self.vibration = deque(self.vibration, maxlen=depth)
 

@@ -31,6 +31,11 @@ def run(arguments: argparse.Namespace) -> int:
     settings = load(arguments.config)
     if settings.imu.transport != "socket":
         raise UsageError(f'{arguments.config}: sim serves imu.transport = "socket", not "{settings.imu.transport}"')
+    if settings.can.enabled and settings.can.interface == "virtual":
+        raise UsageError(
+            f'{arguments.config}: can.interface = "virtual" stays within one process: '
+            'with sim choose "udp_multicast" or "socketcan", or set can.enabled = false'
+        )
     configure_logging(verbose=False)
     asyncio.run(simulate(settings))
     return 0

@@ -1,8 +1,8 @@
 """Recorded bytes through the real program, compared with the stored outcome.
 
-Each recording in `tests/data/regression` holds what sensor and bus delivered; beside it lies what the estimator made of
-it, ten times a second. `make rebase` (or pytest --rebase) stores a new outcome: look at the difference before you commit
-it. A user's recording becomes a test the same way: put it there (`ramstroke recover` makes it whole) and rebase.
+Each recording in `tests/data/regression` holds what sensor and bus delivered; beside it lies what the estimator made
+of it, ten times a second. `make rebase` (or pytest --rebase) stores a new outcome: look at the difference before you
+commit it. A user's recording becomes a test the same way: put it there (`ramstroke recover` makes it whole) and rebase.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from pathlib import Path
 
 import pytest
 
-from daemon.replay import replay
 from daemon.recording import topics
 from daemon.recording.topics import Recorded
+from daemon.replay import replay
 from estimation.records import Estimate, Event, Move
 
 FOLDER = Path(__file__).parent.parent / "data" / "regression"

@@ -84,9 +84,7 @@ def test_values_times_and_displacements_arrive_as_given_each_displacement_behind
 @settings(derandomize=True, deadline=None, max_examples=50)
 @given(
     st.lists(
-        st.tuples(
-            st.decimals(0, 9_000_000_000, places=9), *[st.floats(allow_nan=False, allow_infinity=False)] * 6
-        ),
+        st.tuples(st.decimals(0, 9_000_000_000, places=9), *[st.floats(allow_nan=False, allow_infinity=False)] * 6),
         min_size=1,
         max_size=20,
         unique_by=lambda row: row[0],
@@ -164,9 +162,7 @@ def test_unusable_optional_values_are_counted_and_the_row_is_kept(tmp_path: Path
     report = import_csv(source, tmp_path / "out.mcap", "{}")
     assert (report.rows, report.dropped) == (3, {})
     assert report.dropped_values == {"temperature_c": 1, "observed_mm": 2}
-    assert [topic for topic, _ in messages_of(tmp_path / "out.mcap")] == [topics.IMU_SAMPLE] * 3 + [
-        topics.OBSERVED
-    ]
+    assert [topic for topic, _ in messages_of(tmp_path / "out.mcap")] == [topics.IMU_SAMPLE] * 3 + [topics.OBSERVED]
 
 
 def test_progress_is_told_and_the_table_is_not_held_in_memory(tmp_path: Path) -> None:
@@ -225,9 +221,7 @@ def test_a_missing_table_and_a_table_as_its_own_target_are_refused(tmp_path: Pat
     assert source.read_text().startswith("t_s")
 
 
-def test_a_long_line_is_found_before_it_is_read_whole(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_a_long_line_is_found_before_it_is_read_whole(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(importer, "_LONGEST_LINE", 200)
     assert import_csv(write_table(tmp_path, f"0{MOTION}"), tmp_path / "out.mcap", "{}").rows == 1
     with pytest.raises(CsvError, match="more than 200 characters"):

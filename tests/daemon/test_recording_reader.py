@@ -160,9 +160,7 @@ def test_damage_in_the_index_costs_no_message_and_is_noticed(
         assert recover(path, repaired).messages == passes_official_reader(repaired) == len(written)
 
 
-def test_a_damaged_attachment_is_left_out(
-    small: tuple[bytes, list[tuple[str, Recorded]]], tmp_path: Path
-) -> None:
+def test_a_damaged_attachment_is_left_out(small: tuple[bytes, list[tuple[str, Recorded]]], tmp_path: Path) -> None:
     data, written = small
     hurt = bytearray(data)
     hurt[data.index(b'{"step": 7}')] ^= 1
@@ -202,9 +200,7 @@ def test_no_flipped_bytes_crash_the_reader_or_make_up_messages(
 
 @settings(derandomize=True, deadline=None, max_examples=100)
 @given(st.binary(max_size=300))
-def test_no_bytes_behind_the_magic_crash_the_reader(
-    tmp_path_factory: pytest.TempPathFactory, rest: bytes
-) -> None:
+def test_no_bytes_behind_the_magic_crash_the_reader(tmp_path_factory: pytest.TempPathFactory, rest: bytes) -> None:
     path = tmp_path_factory.getbasetemp() / "noise.mcap"
     path.write_bytes(scan.MAGIC + rest)
     with pytest.raises(RecordingError):

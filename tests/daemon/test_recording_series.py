@@ -160,9 +160,7 @@ def test_nothing_is_sacrificed_to_a_disk_that_somebody_else_fills(tmp_path: Path
     paths = make_files(tmp_path, 100, 100, 100)
     (tmp_path / (paths[2].name + ".keep")).touch()
     assert retention.make_room(tmp_path, 1000, 201, None, lambda path: 0) == []
-    assert retention.make_room(tmp_path, 250, 201, None, lambda path: 0) == paths[:1], (
-        "the budget still holds"
-    )
+    assert retention.make_room(tmp_path, 250, 201, None, lambda path: 0) == paths[:1], "the budget still holds"
 
 
 def test_a_file_that_somebody_else_deletes_meanwhile_is_no_error(
@@ -309,9 +307,7 @@ def test_an_old_file_that_cannot_be_deleted_does_not_stop_recording(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     make_files(tmp_path, 100_000)
-    monkeypatch.setattr(
-        os, "unlink", lambda *args, **options: (_ for _ in ()).throw(PermissionError(1, "no"))
-    )
+    monkeypatch.setattr(os, "unlink", lambda *args, **options: (_ for _ in ()).throw(PermissionError(1, "no")))
     rig = Rig(tmp_path, rotate_mb=0.05, budget_mb=0.05)
     rig.series.begin(HEAD)
     rig.add(3)

@@ -78,13 +78,9 @@ STRATEGIES: dict[str, st.SearchStrategy[Any]] = {
     topics.TICK: st.builds(Tick, times),
     topics.PROVISIONAL: estimates,
     topics.SETTLED: estimates,
-    topics.MOVES: st.builds(
-        Move, words32, st.sampled_from(MoveKind), times, times, *[numbers] * 6, can_states, tiers
-    ),
+    topics.MOVES: st.builds(Move, words32, st.sampled_from(MoveKind), times, times, *[numbers] * 6, can_states, tiers),
     topics.EVENTS: st.builds(Event, times, st.text()),
-    topics.LOG: st.builds(
-        LogLine, st.integers(0, 2**31 * 10**9 - 1), st.integers(0, 255), st.text(), st.text()
-    ),
+    topics.LOG: st.builds(LogLine, st.integers(0, 2**31 * 10**9 - 1), st.integers(0, 255), st.text(), st.text()),
     topics.HEALTH: st.builds(Health, times, st.text()),
 }
 

@@ -73,9 +73,7 @@ def test_the_checksum_sees_every_single_bit_error(words: list[int], bit: int) ->
 @given(st.integers(0, 0xFFFF), WORDS, st.integers(0, 0xFFFF))
 def test_random_words_survive_a_frame_with_checksum(first: int, words: list[int], junk: int) -> None:
     frame = struct.pack(">14H", junk, first, *words, bitwise_crc(words))
-    assert parse(frame, 5, TimeKind.READ) == Burst(
-        5, TimeKind.READ, (first, *words), bitwise_crc(words), Fault.NONE
-    )
+    assert parse(frame, 5, TimeKind.READ) == Burst(5, TimeKind.READ, (first, *words), bitwise_crc(words), Fault.NONE)
 
 
 @settings(derandomize=True, deadline=None)
@@ -133,9 +131,7 @@ def test_the_published_burst_decodes_to_its_physical_values() -> None:
     assert decoder.pressure_pa(burst) == about(98936)
 
 
-@pytest.mark.parametrize(
-    ("word", "celsius"), [(0x000, 31.0), (0x001, 31.07386), (0xFFF, 30.92614), (0xF800, -120.265)]
-)
+@pytest.mark.parametrize(("word", "celsius"), [(0x000, 31.0), (0x001, 31.07386), (0xFFF, 30.92614), (0xF800, -120.265)])
 def test_the_temperature_has_twelve_signed_bits(word: int, celsius: float) -> None:
     burst = Burst(0, TimeKind.EDGE, (0,) * 11 + (word,), None)
     assert BurstDecoder(500).sample(burst).temperature_c == about(celsius, abs=0.001)

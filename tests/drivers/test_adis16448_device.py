@@ -143,9 +143,7 @@ def test_torn_bursts_during_the_probe_do_not_hide_the_checksum() -> None:
     assert outcomes == [True] * 12
 
 
-@pytest.mark.parametrize(
-    ("stuck", "reads", "cause"), [(0x00, "0x0000", "stays low"), (0xFF, "0xFFFF", "floats")]
-)
+@pytest.mark.parametrize(("stuck", "reads", "cause"), [(0x00, "0x0000", "stays low"), (0xFF, "0xFFFF", "floats")])
 def test_a_dead_data_wire_is_named(stuck: int, reads: str, cause: str) -> None:
     device, _, twin = bench()
     twin.stuck_byte = stuck
@@ -181,9 +179,7 @@ def test_a_register_that_never_reads_the_same_twice_is_named() -> None:
 def test_a_write_that_does_not_stick_names_register_and_values() -> None:
     device, recorder, _ = bench(ImuSettings(decimation_exponent=2))
     recorder.tamper = lambda data, answer: b"\x00\x01" if answer == b"\x02\x01" else answer
-    with pytest.raises(
-        ImuError, match=r"SMPL_PRD \(0x36\) was written 0x0201 and reads back 0x0001: check the wires"
-    ):
+    with pytest.raises(ImuError, match=r"SMPL_PRD \(0x36\) was written 0x0201 and reads back 0x0001: check the wires"):
         device.configure()
     assert recorder.writes().count(0xB702) == 3
 

@@ -151,9 +151,7 @@ def test_the_line_is_an_input_with_kernel_stamps_of_the_edge_to_valid_data(
     line = GpiodDataReady("/dev/gpiochip3", 17, active_high=active_high)
     ((path, options),) = gpiod.requests
     assert path == "/dev/gpiochip3"
-    assert options["config"] == {
-        17: {"direction": "input", "edge_detection": edge, "event_clock": "monotonic"}
-    }
+    assert options["config"] == {17: {"direction": "input", "edge_detection": edge, "event_clock": "monotonic"}}
     line.close()
     assert gpiod.lines.released
 

@@ -31,9 +31,7 @@ def test_the_white_noise_of_a_sample_is_that_of_the_data_sheet() -> None:
         gyro_noise_density=SensorGrade().gyro_noise_density,
     )
     gyro, accel, temperature = rest(40_000)
-    sensed_gyro, sensed_accel = SensorErrors(np.random.default_rng(2), grade).apply(
-        DT, gyro, accel, temperature
-    )
+    sensed_gyro, sensed_accel = SensorErrors(np.random.default_rng(2), grade).apply(DT, gyro, accel, temperature)
     assert np.std(sensed_accel - accel, axis=0) / MILLI_G == pytest.approx(4.65, rel=0.02)
     assert np.degrees(np.std(sensed_gyro, axis=0)) == pytest.approx(0.273, rel=0.02)
 
@@ -51,9 +49,7 @@ def test_chunks_and_one_go_give_the_same_numbers() -> None:
 
 
 def test_two_runs_of_one_seed_are_equal_and_of_two_seeds_are_not() -> None:
-    first, again, other = (
-        SensorErrors(np.random.default_rng(seed)).apply(DT, *rest(100))[1] for seed in (4, 4, 5)
-    )
+    first, again, other = (SensorErrors(np.random.default_rng(seed)).apply(DT, *rest(100))[1] for seed in (4, 4, 5))
     assert np.array_equal(first, again)
     assert not np.array_equal(first, other)
 

@@ -55,9 +55,7 @@ def ramp(count: int, step_ns: float = PERIOD_NS) -> RecordedInput:
     """A recording whose n-th sample reads n in each gyro, accelerometer and temperature word."""
     numbers = np.arange(1, count + 1)
     column = np.repeat(numbers[:, np.newaxis], 3, axis=1)
-    return RecordedInput(
-        np.rint(numbers * step_ns), column * GYRO_LSB, column * ACCEL_LSB, 31 + numbers * 0.07386
-    )
+    return RecordedInput(np.rint(numbers * step_ns), column * GYRO_LSB, column * ACCEL_LSB, 31 + numbers * 0.07386)
 
 
 def without_filter(source: InertialInput, **part: Any) -> Pins:
@@ -507,9 +505,7 @@ def test_after_its_input_the_part_holds_the_last_sample_in_silence() -> None:
 
 
 def test_before_its_input_the_part_holds_the_first_sample_in_silence() -> None:
-    source = RecordedInput(
-        [7, 8], np.full((2, 3), GYRO_LSB), np.full((2, 3), ACCEL_LSB), start_ns=500_000_000
-    )
+    source = RecordedInput([7, 8], np.full((2, 3), GYRO_LSB), np.full((2, 3), ACCEL_LSB), start_ns=500_000_000)
     pins = Pins(source)
     assert pins.part.data_ready().wait(0.4) is None
     assert pins.burst()[1:7] == [1] * 6

@@ -73,9 +73,7 @@ class SocketPairBus(can.BusABC):
 class Bench:
     """A CanBus whose every opening gives the next of `buses`, or raises it."""
 
-    def __init__(
-        self, *buses: SocketPairBus | Exception, settings: CanSettings = SETTINGS, **options: Any
-    ) -> None:
+    def __init__(self, *buses: SocketPairBus | Exception, settings: CanSettings = SETTINGS, **options: Any) -> None:
         self.frames: list[Frame] = []
         self.arrived = asyncio.Event()
         self.opened = asyncio.Event()
@@ -460,9 +458,7 @@ def test_virtual_interface_is_polled() -> None:
 
 def test_drain_reads_what_is_waiting_stamped_with_simulated_time() -> None:
     clock = VirtualClock(5_000)
-    link = CanBus(
-        CanSettings(interface="virtual", channel="drained"), nobody, clock, [FrameId(1), FrameId(2)]
-    )
+    link = CanBus(CanSettings(interface="virtual", channel="drained"), nobody, clock, [FrameId(1), FrameId(2)])
     assert link.drain() == []
     with can.Bus(interface="virtual", channel="drained", ignore_config=True) as peer:
         for number in (1, 3, 2):

@@ -266,9 +266,7 @@ def test_missing_dbc_file_is_named_with_its_option(tmp_path: Path) -> None:
 def test_damaged_dbc_file_is_refused_in_words(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "damaged.dbc"
     path.write_bytes(content)
-    with pytest.raises(
-        CanConfigError, match=r"damaged\.dbc \(option `dbc`\) is no usable DBC file"
-    ) as refusal:
+    with pytest.raises(CanConfigError, match=r"damaged\.dbc \(option `dbc`\) is no usable DBC file") as refusal:
         decoder(dbc=path, message="M", signal="s")
     assert "\n" not in str(refusal.value)
 
@@ -318,6 +316,4 @@ def test_estimate_must_not_be_sent_under_an_identifier_that_is_read() -> None:
     publish = {"enabled": True, "arbitration_id": 0x310}
     with pytest.raises(CanConfigError, match="0x310 is the identifier of a frame that is read"):
         build_decoders(CanSettings.model_validate({"listen_only": False, "publish": publish}))
-    build_decoders(
-        CanSettings.model_validate({"listen_only": False, "publish": publish | {"extended": True}})
-    )
+    build_decoders(CanSettings.model_validate({"listen_only": False, "publish": publish | {"extended": True}}))

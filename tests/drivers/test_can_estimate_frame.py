@@ -64,9 +64,7 @@ def test_frame_read_with_the_dbc_file_tells_the_estimate() -> None:
 @pytest.mark.parametrize("segment", list(Segment))
 @pytest.mark.parametrize("tier", list(Tier))
 @pytest.mark.parametrize("can_state", list(CanState))
-def test_every_state_has_the_same_name_in_the_dbc_file(
-    segment: Segment, tier: Tier, can_state: CanState
-) -> None:
+def test_every_state_has_the_same_name_in_the_dbc_file(segment: Segment, tier: Tier, can_state: CanState) -> None:
     frame = encode(replace(ESTIMATE, segment=segment, tier=tier, can_state=can_state))
     values = DBC.decode(frame.data)
     assert [str(values[name]) for name in ("segment", "tier", "sensor_state")] == [segment, tier, can_state]
@@ -102,9 +100,7 @@ def expected_tenths(value_si: float, lowest: float, highest: float) -> float:
 @example(math.inf, -math.inf, math.inf)
 @example(NAN, NAN, NAN)
 @example(0.5, 0.0, -1.0)
-def test_values_saturate_and_nan_becomes_undetermined(
-    displacement: float, velocity: float, sigma: float
-) -> None:
+def test_values_saturate_and_nan_becomes_undetermined(displacement: float, velocity: float, sigma: float) -> None:
     frame = encode(replace(ESTIMATE, displacement_m=displacement, velocity_m_s=velocity, sigma_m=sigma))
     raw = DBC.decode(frame.data, scaling=False, decode_choices=False)
     received = decode_estimate(frame)

@@ -68,9 +68,7 @@ def test_oblique_sensor_is_right_at_the_start_and_short_by_the_given_amount_at_f
 def test_reading_is_as_old_as_the_latency_when_its_frame_is_sent() -> None:
     t_s = np.arange(0.0, 10.0, 0.001)
     readings = sensor(latency_s=0.03, resolution_m=1e-7).observations(t_s, 0.1 * t_s)
-    assert [value for _, value in readings] == about(
-        [0.1 * (t_ns / 1e9 - 0.03) for t_ns, _ in readings], abs=1e-6
-    )
+    assert [value for _, value in readings] == about([0.1 * (t_ns / 1e9 - 0.03) for t_ns, _ in readings], abs=1e-6)
 
 
 def test_noise_and_offset_are_those_asked_for() -> None:

@@ -147,12 +147,8 @@ def test_frames_go_there_and_back_for_several_clients(tmp_path: Path) -> None:
             client.close()
 
 
-@pytest.mark.parametrize(
-    ("client", "error"), [(SocketTransport, SpiError), (SocketDataReady, DataReadyError)]
-)
-def test_without_a_server_the_client_says_what_to_start(
-    tmp_path: Path, client: Any, error: type[Exception]
-) -> None:
+@pytest.mark.parametrize(("client", "error"), [(SocketTransport, SpiError), (SocketDataReady, DataReadyError)])
+def test_without_a_server_the_client_says_what_to_start(tmp_path: Path, client: Any, error: type[Exception]) -> None:
     path = str(tmp_path / "nobody.sock")
     with pytest.raises(error, match=r"nobody\.sock .*start `ramstroke sim` first"):
         client(path)

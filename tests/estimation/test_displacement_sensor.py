@@ -166,6 +166,14 @@ def test_quiet_sensor_is_not_stuck_because_the_first_guess_was_far_off() -> None
         assert feed.read(0.1).usable
 
 
+def test_readings_that_come_before_the_first_fusion_are_no_travel() -> None:
+    feed = Feed()
+    for predicted_m, known in [(0.25, False)] * 4 + [(0.302, True)] * 20:
+        feed.t_s += PERIOD_S
+        feed.sensor.judge(Displacement(feed.t_ns, 0.3), predicted_m, known=known)
+        assert feed.state() is CanState.OK
+
+
 def test_quiet_sensor_is_trusted_again_when_the_estimate_takes_an_overrun_back() -> None:
     feed = Feed()
     feed.run(30)
