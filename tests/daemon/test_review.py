@@ -23,7 +23,7 @@ def test_review_tells_contents_sensor_health_and_moves(capsys: pytest.CaptureFix
     assert told["moves"][0]["can_state"] == "silent"
     # Silent from second 9 to the end.
     assert told["can_states"]["silent"] == pytest.approx(1 - 9 / told["duration_s"], abs=0.1)
-    assert told["reference"] is None
+    assert told["reference"]["readings"] == pytest.approx(9 * 50, abs=2)
 
 
 def test_review_in_words_names_every_part(capsys: pytest.CaptureFixture[str]) -> None:
