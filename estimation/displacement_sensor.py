@@ -39,7 +39,7 @@ class DisplacementSensor:
 
     noise_m2: float
     stroke_m: float
-    timeout_s: float = 0.5  # silent after this long
+    timeout_s: float = 1.0  # silent after this long
     noise_readings: float = 10.0  # weight of the prior
     last_ns: int | None = None
     last_value_m: float = 0.0

@@ -58,7 +58,7 @@ class Pipeline:
         support: SupportSettings | None = None,
         estimator: EstimatorSettings | None = None,
         latency_s: float = 0.0175,
-        timeout_s: float = 0.5,
+        timeout_s: float = 1.0,
         start: Start | None = None,
     ) -> None:
         mount = mount or MountSettings()
@@ -177,7 +177,7 @@ class Pipeline:
         s.buffer.append(step)
         s.can_state = s.sensor.state(step.t_ns)
         s.can_states.append(s.can_state)
-        if s.head.phase is not Phase.REST and s.can_state is not CanState.OK:
+        if s.head.phase is not Phase.REST and s.can_state not in (CanState.OK, CanState.LATE):
             s.worst_in_move = s.can_state
 
         if decision is not None:
@@ -271,7 +271,8 @@ class Pipeline:
         s = self.state
         s.belief.follow(decision, s.recogniser.motion)
         if decision is Decision.START_PROPOSED:
-            s.worst_in_move = s.can_state
+            # A frame that is a little late says nothing about the sensor.
+            s.worst_in_move = CanState.OK if s.can_state is CanState.LATE else s.can_state
         elif decision is Decision.STOP_CONFIRMED:
             s.recogniser.motion = None
 

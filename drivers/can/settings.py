@@ -72,7 +72,7 @@ class DisplacementSettings(_Settings):
         default=None, description="Value of `valid_signal` that means valid; 1 if not given."
     )
     timeout_ms: float = Field(
-        default=500.0,
+        default=1000.0,
         gt=0,
         le=60_000,
         description="The source counts as silent after this long without a frame [ms].",

@@ -36,7 +36,7 @@ def test_review_in_words_names_every_part(capsys: pytest.CaptureFixture[str]) ->
         "silent",
         "start proposed (push)",
         "push",
-        "no reference",
+        "against the reference",
     ):
         assert part in words
 
