@@ -21,7 +21,9 @@ class BlockCutter:
 
     smoother: CausalSmoother = field(default_factory=CausalSmoother)
     count: int = 0
-    sums: list[float] = field(default_factory=lambda: [0.0] * 6)  # acceleration, then rate, in sensor axes
+    # Acceleration, then rate, in sensor axes: integral over the block so far, and the last sample.
+    integral: list[float] = field(default_factory=lambda: [0.0] * 6)
+    last: list[float] = field(default_factory=list)
     last_ns: int | None = None
     step_end_ns: int | None = None
     period_s: float = 0.0  # of the samples, running mean
@@ -45,18 +47,9 @@ class BlockCutter:
         if self.step_end_ns is None:
             # The first block after a start or a gap begins one period before its first sample.
             self.step_end_ns = sample.t_ns - round(self.period_s * 1e9)
-        self.last_ns = sample.t_ns
-
         self.smoother.add(sample.accel)
-        sums = self.sums
-        ax, ay, az = sample.accel
-        gx, gy, gz = sample.gyro
-        sums[0] += ax
-        sums[1] += ay
-        sums[2] += az
-        sums[3] += gx
-        sums[4] += gy
-        sums[5] += gz
+        self._integrate((*sample.accel, *sample.gyro), sample.t_ns)
+        self.last_ns = sample.t_ns
         self.count += 1
         return gap_s, self._cut(mount) if self.count == SAMPLES_PER_STEP else None
 
@@ -71,11 +64,12 @@ class BlockCutter:
     def _cut(self, mount: Mount) -> Step:
         assert self.last_ns is not None
         assert self.step_end_ns is not None
-        ax, ay, az, gx, gy, gz = (total / self.count for total in self.sums)
+        dt_s = (self.last_ns - self.step_end_ns) * 1e-9
+        ax, ay, az, gx, gy, gz = (total / dt_s for total in self.integral)
         # The mount is linear: turning the mean spares turning each sample.
         step = Step(
             t_ns=self.last_ns,
-            dt_s=(self.last_ns - self.step_end_ns) * 1e-9,
+            dt_s=dt_s,
             accel=mount.to_support((ax, ay, az)),
             gyro=mount.to_support((gx, gy, gz)),
             smooth=mount.to_support(self.smoother.value()),
@@ -88,6 +82,21 @@ class BlockCutter:
         self.smoother.clear()
         self._clear()
         self.step_end_ns = None
+        self.last = []
 
     def _clear(self) -> None:
-        self.count, self.sums = 0, [0.0] * 6
+        self.count, self.integral = 0, [0.0] * 6
+
+    def _integrate(self, values: tuple[float, ...], t_ns: int) -> None:
+        """Straight from sample to sample: where one was lost, its neighbours tell best what it was."""
+        assert self.step_end_ns is not None
+        integral = self.integral
+        if self.last and self.last_ns is not None:
+            half_s = (t_ns - self.last_ns) * 0.5e-9
+            for i, (before, now) in enumerate(zip(self.last, values, strict=True)):
+                integral[i] += half_s * (before + now)
+        else:
+            dt_s = (t_ns - self.step_end_ns) * 1e-9
+            for i, now in enumerate(values):
+                integral[i] += dt_s * now
+        self.last = list(values)

@@ -169,8 +169,6 @@ class Pipeline:
         decision = None
         if not step.blind:
             decision = self._recognise(step)
-        elif s.bank is not None:
-            s.bank.bridge(step.t_ns)
         s.last_ns = step.t_ns
         if s.waiting_start is not None:
             self._consider_waiting_start(step, out)
@@ -214,6 +212,7 @@ class Pipeline:
         s = self.state
         bank = self._bank(step)
         block = Block(step.t_ns, step.accel[1], step.gyro[0], s.head.gravity_m_s2 or 9.8)
+        bank.keep_pace(step.t_ns, s.cutter.period_s * SAMPLES_PER_STEP or step.dt_s)
         steps = bank.add(
             block,
             s.head.gyro_bias[0],

@@ -70,6 +70,7 @@ class StepBank:
     tilt_rate_rad_s: Array = field(default_factory=lambda: np.zeros(0))  # about x: what turns gravity into push
     levelled_m_s2: Array = field(default_factory=lambda: np.zeros(0))  # gravity taken out, relative to now
     blocks: int = 0
+    clock_ns: int = 0  # where the last block lies on a time that no loss shortens
     x: Array = field(default_factory=lambda: np.zeros((0, len(SPECS))))  # newest last
     sigma: Array = field(default_factory=lambda: np.zeros((0, len(SPECS))))
     times_ns: deque[int] = field(default_factory=deque)
@@ -154,19 +155,32 @@ class StepBank:
         self.sigma[-1] = sigma
         return Steps(tuple(x.tolist()), tuple(sigma.tolist()))
 
-    def bridge(self, t_ns: int) -> None:
-        """Fill a short gap up to a time: the kernels must find the blocks after it in their places.
+    def keep_pace(self, t_ns: int, period_s: float) -> None:
+        """Before a block that ends at `t_ns`: put fillers where samples were lost, so that the kernels' time is true.
 
-        What they missed is taken as the recent middle: a single block, repeated, would add up to a step.
+        `period_s`: how far apart this source's blocks are when nothing is lost.
         """
+        if not self.blocks:
+            self.clock_ns = t_ns
+            return
+        period_ns = period_s * 1e9
+        missing = min(round((t_ns - self.clock_ns) / period_ns) - 1, self.depth)
+        if missing > 0:
+            self._bridge(missing, t_ns)
+        # Half a block ahead or behind is kept, so that small losses add up to a filler and no more.
+        ahead_ns = t_ns + round(0.5 * period_ns)
+        self.clock_ns = min(self.clock_ns + round((max(missing, 0) + 1) * period_ns), ahead_ns)
+
+    def _bridge(self, blocks: int, until_ns: int) -> None:
+        """Fill with the recent middle: a single block, repeated, would add up to a step."""
         recent = max(round(BRIDGE_FROM_S / self.dt_s), 1)
         push, tilt_rate = (np.median(w[-recent:]) for w in (self.push_m_s2, self.tilt_rate_rad_s))
-        while self.times_ns and t_ns - self.times_ns[-1] > 0.5e9 * self.dt_s:
-            at_ns = self.times_ns[-1] + round(self.dt_s * 1e9)
+        last_ns = self.times_ns[-1]
+        for i in range(1, blocks + 1):
             for window in (self.push_m_s2, self.tilt_rate_rad_s, self.x, self.sigma):
                 window[:-1] = window[1:]
             self.push_m_s2[-1], self.tilt_rate_rad_s[-1] = push, tilt_rate
-            self.times_ns.append(at_ns)
+            self.times_ns.append(last_ns + i * (until_ns - last_ns) // (blocks + 1))
             self.vibration.append(self.vibration_m_s2)
 
     def event_time_ns(self, kernel: int, ago: int = 0) -> int:

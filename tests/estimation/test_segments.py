@@ -324,6 +324,18 @@ def test_event_time_lies_as_far_back_as_the_kernel_looks() -> None:
     assert bank.event_time_ns(0, ago=10**6) == times[-bank.depth]
 
 
+def test_scattered_losses_are_filled_once_they_add_up_to_a_block() -> None:
+    bank = StepBank(DT_S)
+    n = 200
+    times = [round(i * 1.12 * DT_S * 1e9) for i in range(n)]  # every block 12 % too long
+    for t_ns, block in zip(times, blocks_of(np.zeros(n), np.zeros(n), 3), strict=True):
+        bank.keep_pace(t_ns, DT_S)
+        bank.add(replace(block, t_ns=t_ns), 0.0, recent_event=False, resting=True)
+    seen_s = (bank.times_ns[-1] - bank.event_time_ns(3)) * 1e-9
+    assert seen_s == pytest.approx(SPECS[3].post_s, abs=2 * DT_S)
+    assert list(bank.times_ns) == sorted(bank.times_ns)
+
+
 def test_a_bridged_gap_keeps_the_blocks_behind_it_in_their_places() -> None:
     # A push whose burst is over when eleven blocks are lost: the step is seen as if none were.
     n = int(12 / DT_S)
@@ -335,8 +347,7 @@ def test_a_bridged_gap_keeps_the_blocks_behind_it_in_their_places() -> None:
     for i, block in enumerate(blocks):
         whole_x.append(whole.add(block, 0.0, recent_event=False, resting=False).x)
         if not 845 <= i < 856:
-            if i == 856:
-                gapped.bridge(blocks[i - 1].t_ns)
+            gapped.keep_pace(block.t_ns, DT_S)
             gapped_x.append(gapped.add(block, 0.0, recent_event=False, resting=False).x)
             assert gapped.event_time_ns(2) == pytest.approx(whole.event_time_ns(2), abs=20)
     np.testing.assert_allclose(gapped_x[845:], whole_x[856:], atol=1e-12)
