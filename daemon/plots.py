@@ -67,11 +67,12 @@ def plot_demo(path: Path, truth: Trajectory, settled: Sequence[Estimate], observ
     burst.set_ylabel("acceleration [m/s²]")
     burst.set_xlabel("time [s]; orange: varying velocity (VVS), green: constant velocity (CVS)")
 
-    for axes in (stroke, deviation, speed, burst):
+    places = {stroke: "upper left", deviation: "upper right", speed: "lower left", burst: "upper left"}
+    for axes, place in places.items():
         _shade_segments(axes, settled)
         axes.margins(x=0)
         axes.grid(alpha=0.3)
-        axes.legend(loc="upper right", fontsize=8)
+        axes.legend(loc=place, fontsize=8)
     try:
         figure.savefig(path, dpi=110)
     except OSError as problem:
