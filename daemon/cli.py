@@ -42,9 +42,9 @@ SUMMARY = {
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
-    from daemon.errors import describe
-
     try:
+        from daemon.errors import describe
+
         code = _run(list(sys.argv[1:] if arguments is None else arguments))
         sys.stdout.flush()  # at the interpreter's end a broken pipe could no longer be caught
         return code

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import json
 import re
 import reprlib
 import tomllib
@@ -46,7 +47,8 @@ def load(path: Path) -> Settings:
         raise ConfigurationError([f"{path}: is not valid TOML: {error}"]) from error
     _anchor_dbc_paths(tree, path.resolve().parent)
     try:
-        settings = Settings.model_validate(tree)
+        # As JSON: then "500" is no number and `true` no 1, yet a text may still name a path.
+        settings = Settings.model_validate_json(json.dumps(tree, default=str), strict=True)
     except ValidationError as error:
         raise ConfigurationError(_sentences(path, text, error)) from error
     _check_can(settings, path, text)

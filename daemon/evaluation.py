@@ -6,6 +6,7 @@ everything behind the driver are the same.
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
@@ -150,13 +151,22 @@ def evaluate(
             if progress is not None:
                 progress(len(done))
     else:
-        with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        pool = ProcessPoolExecutor(jobs, get_context("spawn"), _end_on_interrupt)
+        try:
             futures = {pool.submit(evaluate_seed, *task): task for task in tasks}
             for future in as_completed(futures):
                 done[futures[future]] = future.result()
                 if progress is not None:
                     progress(len(done))
+        finally:
+            # After Ctrl-C nobody waits for what is still queued.
+            pool.shutdown(wait=False, cancel_futures=True)
     return [done[task] for task in tasks]
+
+
+def _end_on_interrupt() -> None:
+    """In a worker: Ctrl-C ends it at once, without a traceback of its own."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def summarise(results: list[SeedResult], kind: str) -> dict[str, Any]:

@@ -14,8 +14,12 @@ EXAMPLE = "ramstroke evaluate --seeds 1:31 --jobs 2"
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
-    parser.add_argument("--scenario", default="nominal", help="distributions of the motion (default nominal)")
-    parser.add_argument("--seeds", type=_seeds, default=range(1, 11), metavar="A:B", help="from A to before B")
+    parser.add_argument(
+        "--scenario", default="nominal", help="distributions of the motion: nominal (default) or lab_bench"
+    )
+    parser.add_argument(
+        "--seeds", type=_seeds, default=range(1, 11), metavar="A:B", help="from A to before B (default 1:11)"
+    )
     parser.add_argument("--jobs", type=int, default=1, help="processes to use (default 1)")
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
 

@@ -45,7 +45,19 @@ WRONG_FILES: dict[str, tuple[str, str]] = {
     ),
     "wrong type": (
         '[support]\nstroke_mm = "half a metre"\n',
-        ":2: [support] stroke_mm = 'half a metre': must be a valid number, unable to parse string as a number (in mm)",
+        ":2: [support] stroke_mm = 'half a metre': must be a valid number (in mm)",
+    ),
+    "number in quotes": (
+        '[support]\nstroke_mm = "500"\n',
+        ":2: [support] stroke_mm = '500': must be a valid number (in mm)",
+    ),
+    "flag for a number": (
+        "[imu]\nblock_samples = true\n",
+        ":2: [imu] block_samples = True: must be a valid integer (in samples)",
+    ),
+    "word for a flag": (
+        '[can]\nlisten_only = "no"\n',
+        ":2: [can] listen_only = 'no': must be a valid boolean",
     ),
     "value that is none of the choices": (
         '[imu]\ntransport = "usb"\n',
