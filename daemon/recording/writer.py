@@ -76,7 +76,7 @@ class Container:
         ChannelRecord(
             id=number, topic=channel.topic, message_encoding=channel.encoding, metadata={}, schema_id=schema
         ).write(built)
-        self._stream.write(built.end())  # type: ignore[no-untyped-call]
+        self._stream.write(built.end())
         return number
 
     def add(self, channel: int, t_ns: int, sequence: int, payload: bytes) -> None:
@@ -85,7 +85,7 @@ class Container:
 
     def flush(self) -> None:
         """Close the chunk and hand all to the kernel: a killed program loses nothing from before."""
-        self._writer.flush()  # type: ignore[no-untyped-call]
+        self._writer.flush()
 
     def size(self) -> int:
         """Bytes written so far, without the open chunk."""
@@ -93,7 +93,7 @@ class Container:
 
     def finish(self) -> None:
         """Write index and footer and hand all to the kernel."""
-        self._writer.finish()  # type: ignore[no-untyped-call]
+        self._writer.finish()
         self._stream.flush()
 
 

@@ -242,7 +242,7 @@ def foreign(path: Path, channels: list[Channel], payloads: list[bytes], compress
         schema = writer.register_schema(channel.schema_name, channel.schema_encoding, channel.schema_text)
         number = writer.register_channel(channel.topic, channel.encoding, schema)
         writer.add_message(number, 5, payload, 5, 0)
-    writer.finish()  # type: ignore[no-untyped-call]
+    writer.finish()
 
 
 OTHER = Channel("/lidar", "cdr", "a/msg/B", "ros2msg", b"uint8 x")
@@ -288,7 +288,7 @@ def test_messages_outside_of_chunks_are_read(tmp_path: Path) -> None:
     number = writer.register_channel(topics.TICK, "cdr", schema)
     for sequence in range(3):
         writer.add_message(number, 5, A_TICK, 5, sequence)
-    writer.finish()  # type: ignore[no-untyped-call]
+    writer.finish()
     assert read_all(path)[1] == [(topics.TICK, Tick(5))] * 3
 
 

@@ -296,7 +296,7 @@ def test_flushes_go_on_while_a_sync_takes_its_time(tmp_path: Path, monkeypatch: 
     for number in range(20):
         made.write(topics.IMU_RAW, burst(number))
         # Reaches the kernel although the disk is busy.
-        wait_until(lambda: made.counters.messages == number + 1)  # noqa: B023
+        wait_until(lambda: made.counters.messages == number + 1)  # noqa: B023 (called before the loop goes on)
     released.set()
     assert made.close(PATIENCE_S)
     (recording,) = recordings_in(tmp_path)

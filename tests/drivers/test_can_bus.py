@@ -8,7 +8,7 @@ import select
 import socket
 import struct
 import time
-from collections.abc import Callable, Coroutine
+from collections.abc import Coroutine
 from contextlib import suppress
 from typing import Any
 
@@ -584,9 +584,7 @@ def test_socketcan_gets_kernel_filters_for_exactly_the_wanted_identifiers(
         link = CanBus(settings, nobody, VirtualClock(), ids)
         link.drain()
         link.close()
-    filters: Callable[[dict[str, Any]], list[tuple[int, int, bool]]] = lambda options: sorted(  # noqa: E731
-        (entry["can_id"], entry["can_mask"], entry["extended"]) for entry in options["can_filters"]
-    )
-    assert filters(asked[0]) == [(0x310, 0x7FF, False), (0x18FF00F7, 0x1FFFFFFF, True)]
+    filters = sorted((entry["can_id"], entry["can_mask"], entry["extended"]) for entry in asked[0]["can_filters"])
+    assert filters == [(0x310, 0x7FF, False), (0x18FF00F7, 0x1FFFFFFF, True)]
     assert asked[1]["can_filters"] is None
     assert all((options["channel"], options["fd"]) == ("lo", True) for options in asked)

@@ -6,7 +6,7 @@ from typing import Any
 
 import cantools.database
 import pytest
-from crccheck.crc import Crc8SaeJ1850  # type: ignore[import-untyped]
+from crccheck.crc import Crc8SaeJ1850  # type: ignore[import-untyped]  # has no annotations
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 

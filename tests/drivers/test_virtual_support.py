@@ -18,7 +18,7 @@ STILL = Scenario(vibration_m_s2=(0.0, 0.0), tilt_deg=(0.0, 0.0), tilt_step_deg=0
 def support(seed: int = 1, cycles: int | None = 1, **options: object) -> VirtualSupport:
     scenario = options.pop("scenario", None)
     assert scenario is None or isinstance(scenario, Scenario)
-    return VirtualSupport(seed, scenario, cycles=cycles, script=SCRIPT, **options)  # type: ignore[arg-type]
+    return VirtualSupport(seed, scenario, cycles=cycles, script=SCRIPT, **options)  # type: ignore[arg-type]  # keyword arguments of the tests
 
 
 def blocks_of(source: SupportInput, at_most: int | None = None) -> list[InertialBlock]:
