@@ -13,7 +13,7 @@ from estimation.belief import Belief, Phase
 from estimation.chart import ControlChart
 from estimation.displacement_sensor import GATE_SIGMAS, TRUST_SIGMAS, Reading
 from estimation.kernels import ACCEL_NOISE
-from estimation.mskf import LEVEL_DRIFT_M_S2, SPEED, Filter, P, V
+from estimation.mskf import LEVEL_DRIFT_M_S2, SPEED, Filter, P
 from estimation.orientation import IDENTITY, Quaternion, corrected, matrix, propagated
 from estimation.records import Vector
 from estimation.segments import Motion
@@ -255,8 +255,3 @@ class Track:
             self.readings_in_move += 1
             self.filter.state.measure(row, self.innovation_m, reading.variance_m2)
         return accepted
-
-    @property
-    def velocity_m_s(self) -> float:
-        """Velocity now."""
-        return self.filter.state.x[V]

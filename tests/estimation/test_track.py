@@ -104,7 +104,6 @@ def test_nothing_is_known_of_a_copy_that_went_on() -> None:
     assert of == before
     assert other.started == 1
     assert other.filter.state.x[SPEED] == pytest.approx(0.01453, rel=0.1)
-    assert other.velocity_m_s == other.filter.state.x[1]
 
 
 def test_a_reading_outside_the_gate_is_refused_and_told() -> None:
