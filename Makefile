@@ -3,7 +3,7 @@
 # make coverage  the same with branch coverage (half as fast)
 # make check   ruff and mypy
 # make bench   speed and accuracy figures; nothing is asserted
-# make docs    generate the configuration reference
+# make docs    generate the references of configuration and fault scripts
 PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
@@ -30,9 +30,10 @@ bench: $(INSTALLED)
 
 docs: $(INSTALLED)
 	$(BIN)/python -m daemon.configuration_reference > docs/configuration.md
+	$(BIN)/python -m daemon.fault_reference > docs/faults.md
 
 rebase: $(INSTALLED)
-	$(BIN)/python -m pytest tests/acceptance/test_regression.py --rebase
+	$(BIN)/python -m pytest tests/acceptance/test_regression.py tests/acceptance/test_recorded_bytes.py --rebase
 
 clean:
 	rm -rf $(VENV) demo dist build .coverage .mypy_cache .ruff_cache .pytest_cache .hypothesis

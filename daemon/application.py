@@ -3,22 +3,31 @@
 from __future__ import annotations
 
 import asyncio
-import gc
 import json
 import logging
 import signal
-import sys
 import threading
 import time
+from collections import deque
 from collections.abc import Coroutine
 from dataclasses import asdict
 from typing import Any
 
 from daemon import state_file
+from daemon.health import (
+    HealthBook,
+    RecorderHealth,
+    displacement_condition,
+    estimate_condition,
+    loop_condition,
+    status_line,
+)
 from daemon.imu_link import ImuLink
 from daemon.live import LiveServer
 from daemon.log_relay import LogRelay
+from daemon.loop_watch import Lateness, LoopWatch
 from daemon.notify import Notifier
+from daemon.process import settle_process
 from daemon.recording import topics
 from daemon.recording.metadata import LEARNED, SNAPSHOT, Preamble, describe, program_version, wall_offset_ns
 from daemon.recording.recorder import Recorder
@@ -26,11 +35,14 @@ from daemon.recording.topics import Health, Recorded
 from daemon.rows import estimate_row, move_row
 from daemon.settings import Settings
 from daemon.stream import Stream
+from daemon.watchdog import Watchdog
 from drivers.adis16448.burst import Burst
+from drivers.adis16448.identity import Identity
 from drivers.can.bus import CanBus
 from drivers.can.estimate_frame import EstimateEncoder
 from drivers.can.frame import Frame
 from drivers.clock import SystemClock
+from drivers.condition import OFF
 from estimation.records import Estimate, Event, Move, Segment, Tick
 
 HEALTH_S = 1.0
@@ -39,9 +51,8 @@ SILENT_IMU_S = 0.25
 # The part is reset, tested and configured meanwhile: not silent yet, and what is known of the stroke still holds.
 START_UP_S = 10.0
 LIVE_ESTIMATE_S = 0.1
+RECORDER_PATIENCE_S = 30.0  # longer than its queue can last
 SAVE_STATE_S = 5.0
-# The reader thread must get the interpreter within half a millisecond: the part has no FIFO.
-SWITCH_INTERVAL_S = 0.0005
 
 _log = logging.getLogger(__name__)
 
@@ -72,11 +83,16 @@ class Application:
             ids = [frame_id for decoder in self._stream.decoders for frame_id in decoder.arbitration_ids]
             self._bus = CanBus(settings.can, self._take_frame, self._clock, ids)
         self._encoder = EstimateEncoder(settings.can.publish)
+        self._blocks: deque[list[Burst | Identity]] = deque()
         self._publish_due_ns = 0
         self._live_due_ns = 0
         self._steps = 0
         self._state_lock = threading.Lock()
-        self._loop_late_s = 0.0
+        self._loop_watch = LoopWatch()
+        self._worst_lateness = Lateness()
+        self._health_book = HealthBook()
+        self._recorder_health = RecorderHealth(self._recorder, settings.recording.enabled)
+        self._watchdog = self._make_watchdog()
         self._loop: asyncio.AbstractEventLoop | None = None
         self._failure: BaseException | None = None
 
@@ -96,13 +112,15 @@ class Application:
         logging.getLogger().addHandler(relay)
         tasks = [self._spawn(work) for work in self._works()]
         self._imu.start()
-        _settle_process()
+        settle_process()
+        self._loop_watch.watch_collector()
         self._notifier.ready()
         _log.info("ramstroke %s runs", program_version())
         try:
             await self._stopping.wait()
         finally:
             self._notifier.stopping()
+            self._loop_watch.forget_collector()
             await self._shut_down(tasks)
             logging.getLogger().removeHandler(relay)
         if self._failure is not None:
@@ -150,23 +168,29 @@ class Application:
 
     # --- inputs -----------------------------------------------------------------------------------------------
 
-    def _hand_over(self, block: list[Burst]) -> None:
+    def _hand_over(self, block: list[Burst | Identity]) -> None:
         """Called in the acquisition thread."""
         assert self._loop is not None
+        self._blocks.append(block)
         if not self._loop.is_closed():
-            self._loop.call_soon_threadsafe(self._take_block, block)
+            self._loop.call_soon_threadsafe(self._take_blocks)
 
-    def _take_block(self, block: list[Burst]) -> None:
-        if self._failure is not None:
-            return
-        try:
-            for burst in block:
-                self._stream.take(topics.IMU_RAW, burst)
-        except Exception as error:
-            self._fail(error)
+    def _take_blocks(self) -> None:
+        """Take what was handed over; before anything else moves the estimator's time past these samples."""
+        while self._blocks and self._failure is None:
+            block = self._blocks.popleft()
+            try:
+                with self._loop_watch.doing("inertial samples"):
+                    for record in block:
+                        topic = topics.IMU_IDENTITY if isinstance(record, Identity) else topics.IMU_RAW
+                        self._stream.take(topic, record)
+            except Exception as error:
+                self._fail(error)
 
     def _take_frame(self, frame: Frame) -> None:
-        self._stream.take(topics.CAN_RX, frame)
+        self._take_blocks()
+        with self._loop_watch.doing("CAN frames"):
+            self._stream.take(topics.CAN_RX, frame)
 
     async def _tick(self) -> None:
         """Let time pass in the estimator while the sensor is silent; measure how late the loop is."""
@@ -175,9 +199,10 @@ class Application:
         while True:
             due_s += TICK_S
             await asyncio.sleep(max(due_s - time.monotonic(), 0.0))
-            self._loop_late_s = max(self._loop_late_s, time.monotonic() - due_s)
+            self._loop_watch.woke(due_s)
             due_s = max(due_s, time.monotonic() - 1.0)
             now_ns = self._clock.now_ns()
+            self._take_blocks()
             last_ns = self._stream.last_sample_ns or started_ns
             if now_ns - last_ns > SILENT_IMU_S * 1e9:
                 self._stream.take(topics.TICK, Tick(now_ns))
@@ -223,64 +248,68 @@ class Application:
         )
 
     def _hello(self) -> dict[str, Any]:
-        return {"version": program_version(), "stroke_mm": self._settings.support.stroke_mm} | self._health()
+        return {"version": program_version(), "stroke_mm": self._settings.support.stroke_mm} | self.health()
 
     # --- health -----------------------------------------------------------------------------------------------
 
     async def _watch_health(self) -> None:
-        """Once a second: a record, a line for viewers and systemd; the watchdog only if something has moved."""
-        moved_before = self._moved()
+        """Once a second: a record, a line for viewers and systemd; the watchdog only if nothing stands still."""
         while True:
             await asyncio.sleep(HEALTH_S)
-            health = self._health()
-            now_ns = self._clock.now_ns()
-            self._recorder.write(topics.HEALTH, Health(now_ns, json.dumps(health)))
-            self._live.push("status", health)
-            self._notifier.status(_status_line(health))
-            moved = self._moved()
-            # Estimates alone prove nothing: they go on, blind, when all sensors hang.
-            if moved[0] != moved_before[0] and moved[1] != moved_before[1]:
-                self._notifier.watchdog()
-            moved_before = moved
-            self._loop_late_s = 0.0
+            with self._loop_watch.doing("health"):
+                self._worst_lateness = self._loop_watch.take()
+                health = self.health()
+                self._recorder.write(topics.HEALTH, Health(self._clock.now_ns(), json.dumps(health)))
+                self._live.push("status", health)
+                laggards = self._watchdog.laggards(time.monotonic())
+                self._notifier.status(status_line(health, laggards))
+                if not laggards:
+                    self._notifier.watchdog()
 
-    def _moved(self) -> tuple[int, int]:
-        """What came in so far, attempts to reach a missing device included, and the estimates made meanwhile.
-
-        A support that is switched off must not get its daemon killed for ever.
-        """
-        came = self._stream.samples + self._imu.attempts
+    def _make_watchdog(self) -> Watchdog:
+        watchdog = Watchdog()
+        watchdog.watch("imu", lambda: self._imu.progress)
         if self._bus is not None:
-            came += self._bus.counters.received + self._bus.counters.failures
-        return came, self._steps
+            bus = self._bus
+            watchdog.watch("can", lambda: bus.progress)
+        watchdog.watch("estimator", lambda: self._steps, expected=lambda: self._stream.last is not None)
+        # A disk that hangs is no reason to stop: its queue fills, then losses are counted.
+        watchdog.watch(
+            "recorder",
+            lambda: self._recorder.accounted,
+            expected=lambda: self._recorder.queued > 0,
+            patience_s=RECORDER_PATIENCE_S,
+        )
+        return watchdog
 
-    def _health(self) -> dict[str, Any]:
-        health: dict[str, Any] = {
-            "t_s": self._clock.now_ns() * 1e-9,
-            "imu": self._imu.health() | {"bad_bursts": self._stream.bad_bursts},
-            "can": {"state": "disabled"},
-            "recorder": _recorder_health(self._recorder, self._settings.recording.enabled),
-            "live": {
-                "viewers": self._live.viewers,
-                "dropped": self._live.dropped,
-                "refused": self._live.refused,
+    def health(self) -> dict[str, Any]:
+        """How every part is now, and what it counted."""
+        now_ns = self._clock.now_ns()
+        now_s, book, stream = now_ns * 1e-9, self._health_book, self._stream
+        last, late = stream.last, self._worst_lateness
+        source = stream.decoders[0].report(now_ns) if stream.decoders else None
+        sensor = OFF if source is None else displacement_condition(last.can_state if last else None, source.condition)
+        health = {
+            "t_s": now_s,
+            "imu": book.note("imu", self._imu.condition, now_s) | self._imu.counters(),
+            "can": book.note("can", OFF if self._bus is None else self._bus.condition, now_s)
+            | ({} if self._bus is None else self._bus.report()),
+            "displacement": book.note("displacement", sensor, now_s) | ({} if source is None else source.counters()),
+            "estimator": book.note("estimator", estimate_condition(last, self._settings.support.stroke_mm / 1e3), now_s)
+            | {"samples": stream.samples, "bad_samples": stream.bad_bursts, "steps": self._steps},
+            "recorder": book.note("recorder", self._recorder_health.condition(now_s), now_s)
+            | asdict(self._recorder.counters)
+            | {"queued": self._recorder.queued},
+            "loop": book.note("loop", loop_condition(late), now_s)
+            | {
+                "late_ms": round(late.late_s * 1e3, 3),
+                "culprit": late.culprit,
+                "culprit_ms": round(late.culprit_s * 1e3, 3),
             },
-            "loop_late_ms": round(self._loop_late_s * 1e3, 3),
+            "live": {"viewers": self._live.viewers, "dropped": self._live.dropped, "refused": self._live.refused},
+            "estimate": None if last is None else estimate_row(last),
         }
-        if self._bus is not None:
-            decoders = [
-                {"malformed": d.malformed, "out_of_range": d.out_of_range, "invalid": d.invalid}
-                for d in self._stream.decoders
-            ]
-            health["can"] = asdict(self._bus.counters) | {
-                "state": self._bus.state,
-                "controller": self._bus.controller_state,
-                "last_error": self._bus.last_error,
-                "sources": decoders,
-            }
-        last = self._stream.last
-        health["estimate"] = None if last is None else estimate_row(last)
-        return health
+        return {"state": str(book.worst())} | health
 
     # --- remembered stroke ------------------------------------------------------------------------------------
 
@@ -307,33 +336,6 @@ class Application:
             _log.warning("cannot write %s: %s", self._settings.service.state_file, error.strerror)
 
 
-def _settle_process() -> None:
-    """Collect once, then spare the collector what will live for ever: a full pass costs dozens of samples."""
-    gc.collect()
-    gc.freeze()
-    gc.set_threshold(50_000, 50, 1000)
-    sys.setswitchinterval(SWITCH_INTERVAL_S)
-
-
 def _next_due_ns(due_ns: int, period_ns: int, now_ns: int) -> int:
     """Keeps the pace on average although steps come when they come; after a pause it begins anew."""
     return due_ns + period_ns if now_ns - due_ns < period_ns else now_ns + period_ns
-
-
-def _recorder_health(recorder: Recorder, enabled: bool) -> dict[str, Any]:
-    if not enabled:
-        return {"state": "disabled"}
-    counters = asdict(recorder.counters)
-    state = "recording" if counters.get("file") else f"waiting: {counters.get('last_error') or 'no file yet'}"
-    return counters | {"state": state, "queued": recorder.queued}
-
-
-def _status_line(health: dict[str, Any]) -> str:
-    estimate = health["estimate"]
-    stroke = (
-        "no estimate yet"
-        if estimate is None
-        else f"{estimate['displacement_mm']:.1f} ± {estimate['sigma_mm']:.1f} mm, {estimate['segment']}"
-    )
-    parts = [f"{name} {health[name]['state']}" for name in ("imu", "can", "recorder")]
-    return f"{stroke}; {'; '.join(parts)}"

@@ -2,49 +2,25 @@
 
 from __future__ import annotations
 
-import difflib
 import json
 import re
 import reprlib
-import tomllib
 from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
 from daemon.settings import Settings
+from daemon.toml_errors import ConfigurationError as ConfigurationError
+from daemon.toml_errors import plain, read_toml, suggestion, unit_of
 from drivers.can.dbc import find_signal
 from drivers.can.displacement import build_decoders
 from drivers.can.settings import CanConfigError
 
-_LARGEST_FILE_BYTES = 1_000_000
-_UNITS = ("_mm_s", "_mm", "_ms", "_hz", "_dps", "_mb", "_minutes", "_samples", "_m", "_s", "_cm")
-
-
-class ConfigurationError(Exception):
-    """The configuration cannot be used; `sentences` say why, one each."""
-
-    def __init__(self, sentences: list[str]) -> None:
-        super().__init__("\n".join(sentences))
-        self.sentences = sentences
-
 
 def load(path: Path) -> Settings:
     """Read and check a configuration file, DBC files included. Raises ConfigurationError."""
-    try:
-        with path.open("rb") as stream:
-            data = stream.read(_LARGEST_FILE_BYTES + 1)
-    except OSError as error:
-        raise ConfigurationError([f"{path}: cannot be read: {error.strerror}"]) from error
-    if len(data) > _LARGEST_FILE_BYTES:
-        raise ConfigurationError([f"{path}: is larger than 1 MB and no configuration file"])
-    try:
-        text = data.decode("utf-8-sig")  # some editors put a mark in front
-        tree = tomllib.loads(text)
-    except UnicodeDecodeError as error:
-        raise ConfigurationError([f"{path}: is no text file (UTF-8)"]) from error
-    except (ValueError, RecursionError) as error:
-        raise ConfigurationError([f"{path}: is not valid TOML: {error}"]) from error
+    text, tree = read_toml(path, "configuration file")
     _anchor_dbc_paths(tree, path.resolve().parent)
     try:
         # As JSON: then "500" is no number and `true` no 1, yet a text may still name a path.
@@ -85,7 +61,7 @@ def _sentences(path: Path, text: str, error: ValidationError) -> list[str]:
     sentences = []
     for fault in error.errors():
         location = [str(part) for part in fault["loc"]]
-        named = _named_key(_plain(fault["msg"])) if fault["type"] == "value_error" else []
+        named = _named_key(plain(fault["msg"])) if fault["type"] == "value_error" else []
         sentences.append(f"{_place(path, text, location + named)}: {_describe(location, fault)}")
     return sentences
 
@@ -103,30 +79,17 @@ def _place(path: Path, text: str, location: list[str]) -> str:
 
 def _describe(location: list[str], fault: Any) -> str:
     if not location:
-        return _plain(fault["msg"])
+        return plain(fault["msg"])
     section, key = ".".join(location[:-1]), location[-1]
     name = f"[{section}] {key}" if section else f"[{key}]"
     if fault["type"] == "extra_forbidden":
         return f"{name} is unknown{_suggestion(location)}"
     if fault["type"] == "value_error":
-        return f"[{'.'.join(location)}] {_plain(fault['msg'])}"
+        return f"[{'.'.join(location)}] {plain(fault['msg'])}"
     value = reprlib.repr(fault["input"])
     if fault["type"] == "model_type":
         return f"{name} = {value}: must be a section with keys of its own"
-    return f"{name} = {value}: {_plain(fault['msg'])}{_unit_of(key)}"
-
-
-def _plain(message: str) -> str:
-    message = message.removeprefix("Value error, ")
-    message = message[:1].lower() + message[1:] if message.startswith("Input") else message
-    return message.replace("input should", "must")
-
-
-def _unit_of(key: str) -> str:
-    for unit in _UNITS:
-        if key.endswith(unit):
-            return f" (in {unit[1:].replace('_', '/')})"
-    return ""
+    return f"{name} = {value}: {plain(fault['msg'])}{unit_of(key)}"
 
 
 def _suggestion(location: list[str]) -> str:
@@ -135,14 +98,7 @@ def _suggestion(location: list[str]) -> str:
         annotation = model.model_fields[part].annotation
         candidates = [annotation, *getattr(annotation, "__args__", ())]
         model = next(c for c in candidates if isinstance(c, type) and issubclass(c, BaseModel))
-    known = list(model.model_fields)
-    key = location[-1]
-    stem = re.sub("|".join(f"{unit}$" for unit in _UNITS), "", key)
-    other_unit = [name for name in known if name.startswith(stem + "_")]
-    close = other_unit or difflib.get_close_matches(key, known, n=1)
-    if close:
-        return f"; did you mean {close[0]}?"
-    return f"; known here: {', '.join(known)}"
+    return suggestion(location[-1], list(model.model_fields))
 
 
 def _line_of(text: str, location: list[str]) -> int | None:

@@ -11,12 +11,13 @@ from daemon.recording.metadata import LEARNED, SNAPSHOT, describe
 from daemon.recording.topics import Recorded
 from daemon.recording.writer import RecordingWriter
 from daemon.settings import Settings
-from daemon.stream import Stream
-from daemon.virtual import SimulatedRun, virtual_support
+from daemon.simulated_run import SimulatedRun
+from daemon.simulated_stream import SimulatedStream
+from daemon.virtual import virtual_support
 from drivers.clock import VirtualClock
+from drivers.virtual.faults import FaultScript
 from drivers.virtual.motion import TrueMove
-from estimation.pipeline import Start
-from estimation.records import Displacement, Estimate, Move
+from estimation.records import Displacement, Estimate, Event, Move, MoveKind
 
 
 @dataclass(slots=True)
@@ -28,6 +29,17 @@ class DemoResult:
     settled: list[Estimate] = field(default_factory=list)
     observed: list[Displacement] = field(default_factory=list)
     reference: list[Displacement] = field(default_factory=list)
+    events: list[Event] = field(default_factory=list)
+
+    def move_of(self, true: TrueMove) -> Move | None:
+        """The found move that is this true one: same direction, at the same time."""
+        kind = MoveKind.PUSH if true.end_m > true.start_m else MoveKind.RETRACT
+        met = [
+            move
+            for move in self.moves
+            if move.kind is kind and move.onset_ns < true.stop_s * 1e9 and move.stop_ns > true.onset_s * 1e9
+        ]
+        return met[-1] if met else None
 
 
 def demo_settings(seed: int) -> Settings:
@@ -45,7 +57,9 @@ def demo_settings(seed: int) -> Settings:
     )
 
 
-def run_demo(settings: Settings, recording: Path, progress: Callable[[float], None]) -> DemoResult:
+def run_demo(
+    settings: Settings, recording: Path, progress: Callable[[float], None], faults: FaultScript | None = None
+) -> DemoResult:
     """Play one cycle into `recording`; `progress` hears the share done.
 
     Raises:
@@ -55,33 +69,20 @@ def run_demo(settings: Settings, recording: Path, progress: Callable[[float], No
     support = virtual_support(settings, cycles=1)
     result = DemoResult(truth=support.true_moves())
     duration_ns = support.truth().t_s[-1] * 1e9
-    run = SimulatedRun(settings, support, clock)
-    try:
-        metadata = describe(
-            "recording",
-            settings.model_dump_json(),
-            sensor=f"virtual ADIS16448, serial {run.identity.serial}",
-        )
-        # The stream must exist before the file (its snapshot stands at the head) and writes into it.
-        written: list[RecordingWriter] = []
+    metadata = describe("recording", settings.model_dump_json(), sensor="virtual ADIS16448")
+    # The stream must exist before the file (its snapshot stands at the head) and writes into it.
+    written: list[RecordingWriter] = []
 
-        def receive(topic: str, record: Recorded) -> None:
-            written[0].write(topic, record)
-            _collect(result, topic, record)
+    def receive(topic: str, record: Recorded) -> None:
+        written[0].write(topic, record)
+        _collect(result, topic, record)
 
-        stream = Stream(settings, receive, Start(0.0))
-        with RecordingWriter(recording, metadata, {SNAPSHOT: stream.snapshot(), LEARNED: b"{}"}) as writer:
+    run = SimulatedRun.of(settings, support, clock, faults)
+    with SimulatedStream(settings, run, clock, receive) as simulated:
+        snapshot = simulated.stream.snapshot()
+        with RecordingWriter(recording, metadata, {SNAPSHOT: snapshot, LEARNED: b"{}"}) as writer:
             written.append(writer)
-            while (received := run.next()) is not None:
-                block, frames = received
-                for burst in block:
-                    stream.take(topics.IMU_RAW, burst)
-                for frame in frames:
-                    stream.take(topics.CAN_RX, frame)
-                progress(min(clock.now_ns() / duration_ns, 1.0))
-            stream.finish()
-    finally:
-        run.close()
+            simulated.play(lambda now_ns: progress(min(now_ns / duration_ns, 1.0)))
     return result
 
 
@@ -90,6 +91,8 @@ def _collect(result: DemoResult, topic: str, record: Recorded) -> None:
         if result.moves and result.moves[-1].number == record.number:
             result.moves.pop()
         result.moves.append(record)
+    elif isinstance(record, Event):
+        result.events.append(record)
     elif topic == topics.SETTLED and isinstance(record, Estimate):
         result.settled.append(record)
     elif isinstance(record, topics.RecordedDisplacement):

@@ -1,151 +1,115 @@
-"""The inertial sensor's side of the daemon: a thread that starts the part, acquires, and starts again."""
+"""The inertial sensor's side of the daemon: acquisition in a thread or in a process of its own."""
 
 from __future__ import annotations
 
-import logging
-import threading
 from collections.abc import Callable
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
+from daemon.imu_ports import inertial_sensor
+from daemon.imu_process import ImuProcess
 from daemon.settings import Settings
-from drivers.acquisition import Acquisition
-from drivers.adis16448.burst import Burst, Fault
-from drivers.adis16448.configuration import ImuSettings
-from drivers.adis16448.device import Adis16448, Identity, ImuError
+from drivers.acquisition import Acquisition, Block
+from drivers.adis16448.counters import Counters
+from drivers.adis16448.identity import Identity
 from drivers.clock import Clock
-from drivers.data_ready import DataReady, DataReadyError, GpiodDataReady, PacedDataReady
-from drivers.spi import SpidevTransport, SpiTransport
+from drivers.condition import Condition
 
 if TYPE_CHECKING:
     from drivers.virtual.support import VirtualSupport
 
-FIRST_RETRY_S, LONGEST_RETRY_S = 0.5, 5.0
-DEAD_S = 2.0  # without one good sample: start the part anew
-
-_log = logging.getLogger(__name__)
-
-
-def open_ports(settings: ImuSettings, clock: Clock, support: VirtualSupport | None) -> tuple[SpiTransport, DataReady]:
-    """The SPI port and the data-ready line that the settings name.
-
-    Raises:
-        SpiError, DataReadyError: a port cannot be opened.
-    """
-    pin, active_high = settings.data_ready_pin, settings.data_ready_active_high
-    if settings.transport == "virtual":
-        from daemon.virtual import virtual_part
-
-        assert support is not None
-        part = virtual_part(support, clock)
-        return part, part.data_ready(pin=pin, active_high=active_high)
-    if settings.transport == "socket":
-        from drivers.virtual.spi_socket import SocketDataReady, SocketTransport
-
-        path = settings.socket_path
-        return _both(SocketTransport(path), lambda: SocketDataReady(path, pin=pin, active_high=active_high))
-    spi, chip, line = SpidevTransport(settings.spi_device), settings.data_ready_chip, settings.data_ready_line
-    if line is None:
-        return spi, PacedDataReady(clock, settings.nominal_period_s)
-    return _both(spi, lambda: GpiodDataReady(chip, line, active_high=active_high))
-
-
-def _both(transport: SpiTransport, open_line: Callable[[], DataReady]) -> tuple[SpiTransport, DataReady]:
-    """Port and line, or neither."""
-    try:
-        return transport, open_line()
-    except DataReadyError:
-        transport.close()
-        raise
-
 
 class ImuLink:
-    """Brings bursts to `on_block` (called in the acquisition thread) for as long as it takes."""
+    """Brings samples to `on_block` for as long as it takes; nothing it meets ends it.
+
+    Args:
+        settings: of the program.
+        clock: of the run.
+        on_block: called in a foreign thread, an Identity first whenever the part was started.
+        support: carries the virtual part, for the transport "virtual".
+    """
 
     def __init__(
         self,
         settings: Settings,
         clock: Clock,
-        on_block: Callable[[list[Burst]], None],
+        on_block: Callable[[Block], None],
         support: VirtualSupport | None = None,
     ) -> None:
-        self._settings = settings.imu
-        self._clock = clock
-        self._on_block = on_block
-        self._support = support
-        self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="imu", daemon=True)
-        self._acquisition: Acquisition | None = None
-        self.state = "waiting: not started yet"
-        self.identity: Identity | None = None
-        self.starts = 0
-        self.attempts = 0  # to start the part
+        self._side: _ThreadSide | ImuProcess
+        if settings.imu.acquisition == "process":
+            start_ns = clock.now_ns() if support is None else support.start_ns
+            self._side = ImuProcess(settings, start_ns, on_block)
+        else:
+            self._side = _ThreadSide(settings, clock, on_block, support)
 
     def start(self) -> None:
-        """Start the thread."""
-        self._thread.start()
+        """Begin; returns at once."""
+        self._side.start()
 
     def stop(self) -> None:
-        """End acquisition and the thread."""
-        self._stopping.set()
-        self._thread.join(10.0)
+        """End it and wait for that, a second at most; blocks come until it returns."""
+        self._side.stop()
 
-    def health(self) -> dict[str, Any]:
-        """Counters and state, for people and recordings."""
-        report: dict[str, Any] = {"state": self.state, "starts": self.starts}
-        if self.identity is not None:
-            report["serial"] = self.identity.serial
-        acquisition = self._acquisition
-        if acquisition is not None:
-            counters = asdict(acquisition.counters)
-            counters["faults"] = {Fault(kind).name.lower(): n for kind, n in counters["faults"].items() if n}
-            report |= counters | {"paced": acquisition.is_paced}
-        return report
+    @property
+    def condition(self) -> Condition:
+        """How the sensor is, in words."""
+        return self._side.condition
 
-    def _run(self) -> None:
-        retry_s = FIRST_RETRY_S / 2
-        while not self._stopping.is_set():
-            starts = self.starts
-            self.attempts += 1
-            try:
-                self._acquire()
-            except Exception as error:
-                if self.state != f"waiting: {error}":
-                    expected = isinstance(error, OSError | ImuError)
-                    _log.warning("no inertial samples: %s", error, exc_info=None if expected else error)
-                self.state = f"waiting: {error}"
-                retry_s = FIRST_RETRY_S if self.starts > starts else min(2 * retry_s, LONGEST_RETRY_S)
-                self._stopping.wait(retry_s)
+    @property
+    def identity(self) -> Identity | None:
+        """The part that delivers, or did last."""
+        return self._side.identity
 
-    def _wait_while_good(self, acquisition: Acquisition) -> None:
-        """Return on stop; raise ImuError when good samples have ceased."""
-        counters, good = acquisition.counters, -1
-        while not self._stopping.wait(DEAD_S):
-            now_good = counters.samples - sum(counters.faults.values())
-            if now_good == good:
-                raise ImuError(
-                    f"no good sample for {DEAD_S:g} s ({counters.last_error or 'see the counted faults'}): "
-                    "the part is started anew; check its cable and supply"
-                )
-            good = now_good
+    @property
+    def progress(self) -> int:
+        """Moves as long as the acquisition lives, even if the sensor is ill."""
+        return self._side.progress
 
-    def _acquire(self) -> None:
-        transport, data_ready = open_ports(self._settings, self._clock, self._support)
-        try:
-            device = Adis16448(transport, self._clock, self._settings)
-            self.identity = device.start()
-            for note in device.notes:
-                _log.warning("inertial sensor: %s", note)
-            acquisition = Acquisition(device, data_ready, self._clock, self._settings.block_samples, self._on_block)
-            self._acquisition = acquisition
-            self.starts += 1
-            self.state = "running"
-            _log.info("inertial sensor running, serial %d", self.identity.serial)
-            acquisition.start()
-            try:
-                self._wait_while_good(acquisition)
-            finally:
-                acquisition.stop()
-        finally:
-            data_ready.close()
-            transport.close()
+    def counters(self) -> dict[str, Any]:
+        """What happened so far, JSON-able; kinds that never happened are left out of `faults` and `diagnoses`."""
+        counted = asdict(self._side.counters)
+        for kinds in ("faults", "diagnoses"):
+            counted[kinds] = {kind: count for kind, count in counted[kinds].items() if count}
+        identity = self.identity
+        serial = {} if identity is None else {"serial": identity.serial}
+        return serial | counted | self._side.own_counters() | {"notes": list(self._side.notes)}
+
+
+class _ThreadSide:
+    """Acquisition in a thread of this process."""
+
+    def __init__(
+        self, settings: Settings, clock: Clock, on_block: Callable[[Block], None], support: VirtualSupport | None
+    ) -> None:
+        self._sensor = inertial_sensor(settings.imu, clock, support)
+        self._acquisition = Acquisition(self._sensor, on_block, settings.imu.realtime_priority)
+
+    def start(self) -> None:
+        self._acquisition.start()
+
+    def stop(self) -> None:
+        self._acquisition.stop()
+
+    @property
+    def condition(self) -> Condition:
+        return self._sensor.condition
+
+    @property
+    def identity(self) -> Identity | None:
+        return self._sensor.identity
+
+    @property
+    def progress(self) -> int:
+        return self._sensor.progress
+
+    @property
+    def counters(self) -> Counters:
+        return self._sensor.counters
+
+    @property
+    def notes(self) -> list[str]:
+        return self._sensor.notes
+
+    def own_counters(self) -> dict[str, int]:
+        return {"lost_blocks": self._acquisition.lost_blocks}

@@ -33,8 +33,9 @@ class Notifier:
             return
         # An address that begins with @ is in the abstract namespace.
         address = "\0" + self._address[1:] if self._address.startswith("@") else self._address
-        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as channel:
+        kind = socket.SOCK_DGRAM | socket.SOCK_CLOEXEC | socket.SOCK_NONBLOCK  # a systemd that hangs must not hang us
+        with socket.socket(socket.AF_UNIX, kind) as channel:
             try:
                 channel.sendto(message.encode(), address)
             except OSError:
-                return  # systemd has gone: nothing depends on the words
+                return  # systemd has gone or does not listen: nothing depends on the words

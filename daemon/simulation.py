@@ -6,31 +6,41 @@ import asyncio
 import logging
 import signal
 from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from daemon.settings import Settings
 from daemon.virtual import ControllerTransmitter, virtual_controller, virtual_part, virtual_support
 from drivers.clock import SystemClock
+from drivers.virtual.faults import FaultScript
 from drivers.virtual.spi_socket import SpiSocketServer
 
 _log = logging.getLogger(__name__)
 
 
-async def simulate(settings: Settings) -> None:
-    """Serve sensor and controller until SIGTERM or SIGINT. Raises OSError if the socket cannot be served."""
+async def simulate(settings: Settings, faults: FaultScript | None = None) -> dict[str, Any]:
+    """Serve sensor and controller until SIGTERM or SIGINT; returns what was done, for exact accounting.
+
+    Raises:
+        OSError: the socket cannot be served.
+        CanConfigError: settings and script do not fit each other.
+    """
     clock = SystemClock()
-    support = virtual_support(settings, start_ns=clock.now_ns())
+    start_ns = clock.now_ns()
+    support = virtual_support(settings, start_ns=start_ns)
+    sender = None
+    if settings.can.enabled:
+        sender = ControllerTransmitter(settings, virtual_controller(settings, support, faults), clock)
     Path(settings.imu.socket_path).parent.mkdir(parents=True, exist_ok=True)
-    server = SpiSocketServer(settings.imu.socket_path, virtual_part(support, clock))
+    part = virtual_part(support, clock, faults)
+    server = SpiSocketServer(settings.imu.socket_path, part)
     server.start()
     stopping = asyncio.Event()
     loop = asyncio.get_running_loop()
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, stopping.set)
-    sending = None
-    if settings.can.enabled:
-        controller = virtual_controller(settings, support)
-        sending = asyncio.ensure_future(ControllerTransmitter(settings, controller, clock).run())
+    sending = None if sender is None else asyncio.ensure_future(sender.run())
     _log.info("virtual support %d on %s", settings.simulation.seed, settings.imu.socket_path)
     try:
         await stopping.wait()
@@ -40,3 +50,29 @@ async def simulate(settings: Settings) -> None:
             sending.cancel()
             with suppress(asyncio.CancelledError):
                 await sending
+    duration_s = (clock.now_ns() - start_ns) * 1e-9
+    played = [] if faults is None else [fault for fault in faults.in_order if fault.at_s < duration_s]
+    account = {
+        "duration_s": duration_s,
+        "part": asdict(part.account()),
+        "socket": asdict(server.served),
+        "can": {
+            "sent": 0 if sender is None else sender.sent,
+            "failed": 0 if sender is None else sender.failed,
+            "sent_by_kind": {} if sender is None else dict(sender.sent_by_kind),
+        },
+        "faults": [fault.model_dump() for fault in played],
+    }
+    _log.info("virtual support ends: %s", _in_words(account))
+    return account
+
+
+def _in_words(account: dict[str, Any]) -> str:
+    part, served, frames = account["part"], account["socket"], account["can"]
+    kinds = ", ".join(f"{count} {kind}" for kind, count in sorted(frames["sent_by_kind"].items())) or "none"
+    return (
+        f"{part['updates']} samples in {account['duration_s']:.1f} s; {served['edges']} edges told, "
+        f"{part['edges_lost_by_script']} lost and {part['edges_added_by_script']} added by script; "
+        f"{served['frames']} SPI frames, {served['failed_frames']} of them failed by script; "
+        f"CAN frames sent: {kinds}; {frames['failed']} not sent; {len(account['faults'])} faults played"
+    )

@@ -4,20 +4,30 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import asdict
 
 from daemon.recording import topics
 from daemon.recording.topics import Recorded, RecordedDisplacement
 from daemon.settings import Settings
 from drivers.adis16448.burst import Burst, BurstDecoder, Fault
+from drivers.adis16448.identity import Identity
 from drivers.can.displacement import build_decoders
 from drivers.can.frame import Frame
 from estimation.pipeline import Pipeline, Start
-from estimation.records import Displacement, Estimate, ImuSample, Move, Output, Record, Tick, Tier
+from estimation.records import Displacement, Estimate, ImuSample, Move, Output, Record, SensorChange, Tick, Tier
 
 Sink = Callable[[str, Recorded], None]
 
 # What a replay feeds again; everything else in a recording follows from these.
-INPUTS = (topics.IMU_RAW, topics.IMU_SAMPLE, topics.CAN_RX, topics.OBSERVED, topics.REFERENCE, topics.TICK)
+INPUTS = (
+    topics.IMU_IDENTITY,
+    topics.IMU_RAW,
+    topics.IMU_SAMPLE,
+    topics.CAN_RX,
+    topics.OBSERVED,
+    topics.REFERENCE,
+    topics.TICK,
+)
 
 # Beyond any inertial sensor (rad/s, m/s^2); only a damaged file or table holds more.
 _LARGEST_READING = 1e4
@@ -50,6 +60,7 @@ class Stream:
         )
         self.samples = 0  # good inertial samples
         self.bad_bursts = 0  # and impossible samples
+        self.identity: Identity | None = None  # of the inertial sensor
         self.last_sample_ns: int | None = None
         self.last: Estimate | None = None  # provisional
 
@@ -61,6 +72,8 @@ class Stream:
                 self.bad_bursts += 1
                 return
             self._feed_sample(self._imu.sample(record))
+        elif isinstance(record, Identity):
+            self._meet(record)
         elif isinstance(record, ImuSample):
             if all(abs(value) < _LARGEST_READING for value in record.gyro + record.accel):
                 self._feed_sample(record)
@@ -80,23 +93,29 @@ class Stream:
 
     def snapshot(self) -> bytes:
         """State of everything that remembers, as JSON."""
-        emergencies = [
-            None if decoder.emergency is None else decoder.emergency.pending_code for decoder in self.decoders
-        ]
-        head = json.dumps({"emergencies": emergencies})
+        decoders = [decoder.remembered() for decoder in self.decoders]
+        identity = None if self.identity is None else asdict(self.identity)
+        head = json.dumps({"decoders": decoders, "identity": identity})
         return head.encode() + b"\n" + self.pipeline.snapshot()
 
     def restore(self, snapshot: bytes) -> None:
         """Continue from a snapshot. Raises ValueError on damaged or foreign bytes."""
         head, _, state = snapshot.partition(b"\n")
         try:
-            emergencies = json.loads(head)["emergencies"]
-            for decoder, code in zip(self.decoders, emergencies, strict=True):
-                if decoder.emergency is not None:
-                    decoder.emergency.pending_code = None if code is None else int(code)
+            remembered = json.loads(head)
+            memories, identity = remembered["decoders"], remembered["identity"]
+            self.identity = None if identity is None else Identity(**identity)
+            for decoder, memory in zip(self.decoders, memories, strict=True):
+                decoder.recall(memory)
         except (LookupError, TypeError, RecursionError) as error:
             raise ValueError("not a snapshot of this program") from error
         self.pipeline.restore(state)
+
+    def _meet(self, identity: Identity) -> None:
+        """The sensor may be the one that spoke before, started anew, or another one."""
+        known, self.identity = self.identity, identity
+        if known is not None and not identity.is_same_part(known):
+            self._feed(SensorChange(identity.t_ns))
 
     def _take_frame(self, frame: Frame) -> None:
         for decoder in self.decoders:

@@ -4,26 +4,30 @@ from __future__ import annotations
 
 import asyncio
 import logging
+from collections import Counter
 
 import can
 import numpy as np
 
 from daemon.settings import Settings
-from drivers.acquisition import Acquisition
-from drivers.adis16448.burst import Burst
-from drivers.adis16448.device import Adis16448
-from drivers.can.bus import CanBus
+from drivers.can.dbc import find_signal
 from drivers.can.frame import Frame
 from drivers.can.interface import open_bus, to_message
+from drivers.can.settings import CanConfigError
 from drivers.clock import Clock
 from drivers.virtual.adis16448 import VirtualAdis16448
-from drivers.virtual.controller import VirtualController
+from drivers.virtual.can_network import network
+from drivers.virtual.controller import LABORATORY_SENSOR, VirtualController
+from drivers.virtual.faults import FaultScript, InterfaceDeleted, InterfaceDown
+from drivers.virtual.faulty_controller import FaultyController, FrameSource
+from drivers.virtual.faulty_line import FaultyEdges, FaultyWires
+from drivers.virtual.faulty_part import PartSchedule
+from drivers.virtual.faulty_values import faulty_observations
 from drivers.virtual.motion import SCENARIOS
+from drivers.virtual.part import VirtualPart
 from drivers.virtual.support import VirtualSupport
 from estimation.mount import Mount
 from estimation.settings import MountSettings
-
-RETRY_S = 1.0
 
 _log = logging.getLogger(__name__)
 
@@ -40,15 +44,48 @@ def virtual_support(settings: Settings, *, start_ns: int = 0, cycles: int | None
     )
 
 
-def virtual_part(support: VirtualSupport, clock: Clock) -> VirtualAdis16448:
-    """The virtual ADIS16448 on that support."""
-    return VirtualAdis16448(support.inertial_input(), clock, errors=support.sensor_errors)
+def virtual_part(support: VirtualSupport, clock: Clock, faults: FaultScript | None = None) -> VirtualPart:
+    """The virtual ADIS16448 on that support, with what the script does to it and to its wires."""
+    if faults is None:
+        return VirtualAdis16448(support.inertial_input(), clock, errors=support.sensor_errors)
+    start_ns = support.start_ns
+    part = VirtualAdis16448(
+        support.inertial_input(),
+        clock,
+        errors=support.sensor_errors,
+        schedule=PartSchedule(faults, start_ns),
+        edge_wire=FaultyEdges(faults, start_ns),
+    )
+    return FaultyWires(part, faults, start_ns)
 
 
-def virtual_controller(settings: Settings, support: VirtualSupport) -> VirtualController:
-    """The controller that reports that support's displacement. Raises CanConfigError."""
+def virtual_controller(
+    settings: Settings, support: VirtualSupport, faults: FaultScript | None = None
+) -> VirtualController | FaultyController:
+    """The controller that reports that support's displacement, with what the script does to it and to the bus.
+
+    Raises CanConfigError: the settings do not fit a DBC file, or the script needs another interface.
+    """
     reference = support.reference() if settings.simulation.reference else ()
-    return VirtualController(support.observations(), settings.can.displacement, reference)
+    displacement = settings.can.displacement
+    if faults is None:
+        return VirtualController(support.observations(), displacement, reference)
+    is_ours = settings.can.interface == "virtual"
+    taken_away = [fault.kind for fault in faults.fault if isinstance(fault, InterfaceDown | InterfaceDeleted)]
+    if taken_away and not is_ours:
+        raise CanConfigError(
+            f'the fault script has {taken_away[0]}, which only can.interface = "virtual" can play, not '
+            f'"{settings.can.interface}": delete it from the script and set the interface down by hand'
+        )
+    observations = faulty_observations(support.observations(), faults, support.start_ns)
+    return FaultyController(
+        VirtualController(observations, displacement, reference),
+        faults,
+        support.start_ns,
+        reading_id=find_signal(displacement).frame_id,
+        bystander_id=find_signal(LABORATORY_SENSOR).frame_id,
+        network=network(settings.can.channel) if is_ours else None,
+    )
 
 
 def _sensor_axes(mount: MountSettings) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
@@ -61,13 +98,14 @@ def _sensor_axes(mount: MountSettings) -> np.ndarray[tuple[int, ...], np.dtype[n
 class ControllerTransmitter:
     """Sends the virtual controller's frames on the configured interface, when they are due."""
 
-    def __init__(self, settings: Settings, controller: VirtualController, clock: Clock) -> None:
+    def __init__(self, settings: Settings, controller: FrameSource, clock: Clock) -> None:
         self._settings = settings.can
         self._controller = controller
         self._clock = clock
         self._bus: can.BusABC | None = None
         self.sent = 0
         self.failed = 0
+        self.sent_by_kind: Counter[str] = Counter()  # identifier, or "error frame"
 
     async def run(self) -> None:
         """Send until cancelled; frames that find no bus are counted and gone, as on a real one."""
@@ -75,65 +113,37 @@ class ControllerTransmitter:
             while (due_ns := self._controller.next_t_ns) is not None:
                 await asyncio.sleep(max((due_ns - self._clock.now_ns()) * 1e-9, 0.0))
                 self.send_due()
-                if self._bus is None:
-                    await asyncio.sleep(RETRY_S)
         finally:
             self.close()
 
     def send_due(self) -> None:
-        """Send the frames due by now."""
-        for frame in self._controller.due(self._clock.now_ns()):
-            try:
-                if self._bus is None:
-                    self._bus = open_bus(self._settings, None)
-                self._bus.send(to_message(frame))
-            except (can.CanError, OSError, ValueError) as error:
-                if self.failed == 0:
-                    _log.warning("the virtual controller cannot send on %s: %s", self._settings.channel, error)
-                self.failed += 1
-                self.close()
-            else:
-                self.sent += 1
+        """Send the frames due by now, instant by instant: the interface may change between two of them."""
+        now_ns = self._clock.now_ns()
+        while (due_ns := self._controller.next_t_ns) is not None and due_ns <= now_ns:
+            for frame in self._controller.due(due_ns):
+                self._send(frame)
 
     def close(self) -> None:
-        """Release the bus."""
+        """Release the bus, and the interface if a fault script holds it."""
+        self._drop_bus()
+        if isinstance(self._controller, FaultyController):
+            self._controller.close()
+
+    def _send(self, frame: Frame) -> None:
+        try:
+            if self._bus is None:
+                self._bus = open_bus(self._settings, None)
+            self._bus.send(to_message(frame))
+        except (can.CanError, OSError, ValueError) as error:
+            if self.failed == 0:
+                _log.warning("the virtual controller cannot send on %s: %s", self._settings.channel, error)
+            self.failed += 1
+            self._drop_bus()
+        else:
+            self.sent += 1
+            self.sent_by_kind["error frame" if frame.is_error else str(frame.frame_id)] += 1
+
+    def _drop_bus(self) -> None:
         bus, self._bus = self._bus, None
         if bus is not None:
             bus.shutdown()
-
-
-class SimulatedRun:
-    """The program's own driver and bus against the twins, in simulated time: no threads, no waiting."""
-
-    def __init__(self, settings: Settings, support: VirtualSupport, clock: Clock) -> None:
-        self._part = virtual_part(support, clock)
-        self._clock = clock
-        device = Adis16448(self._part, clock, settings.imu)
-        self.identity = device.start()
-        data_ready = self._part.data_ready(
-            pin=settings.imu.data_ready_pin, active_high=settings.imu.data_ready_active_high
-        )
-        self.acquisition = Acquisition(device, data_ready, clock, settings.imu.block_samples, on_block=lambda _: None)
-        self._transmitter = self._bus = None
-        if settings.can.enabled:
-            self._transmitter = ControllerTransmitter(settings, virtual_controller(settings, support), clock)
-            self._bus = CanBus(settings.can, lambda _: None, clock)
-            self._bus.drain()  # open it before the first frame is sent
-
-    def next(self) -> tuple[list[Burst], list[Frame]] | None:
-        """The next block and the frames that came meanwhile; None at the end of the motion."""
-        if self._part.exhausted:
-            return None
-        block = self.acquisition.read_block()
-        frames: list[Frame] = []
-        if self._transmitter is not None and self._bus is not None:
-            self._transmitter.send_due()
-            frames = list(self._bus.drain())
-        return block, frames
-
-    def close(self) -> None:
-        """Release the buses."""
-        if self._transmitter is not None:
-            self._transmitter.close()
-        if self._bus is not None:
-            self._bus.close()

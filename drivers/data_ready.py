@@ -1,11 +1,10 @@
-"""When is there a new sample? The data-ready line of the sensor, or a steady pace instead of it."""
+"""The data-ready line of the sensor: when there is a new sample."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from drivers.clock import Clock
 from estimation.records import TimeKind
 
 # Deeper than any stall worth surviving needs: only the newest edge counts, the depth merely keeps the
@@ -30,7 +29,7 @@ class DataReady(Protocol):
     """Tells when a new sample may be read."""
 
     def wait(self, timeout_s: float) -> Edge | None:
-        """Wait for the next sample; None if the line stayed silent that long. Raises DataReadyError."""
+        """The newest edge, else the next one; None if the line stays silent that long. Raises DataReadyError."""
 
     def close(self) -> None:
         """Release the line."""
@@ -63,7 +62,8 @@ class GpiodDataReady:
             raise DataReadyError(
                 f"cannot watch {self._name} for data-ready: {error}; set data_ready_chip and data_ready_line"
             ) from error
-        self._last_number: int | None = None
+        # The kernel numbers the edges of a request from 1 on (gpio_v2_line_event.line_seqno).
+        self._last_number = 0
 
     def wait(self, timeout_s: float) -> Edge | None:
         """Wait for an edge and return the newest one.
@@ -77,39 +77,10 @@ class GpiodDataReady:
             newest = self._request.read_edge_events()[-1]
         except OSError as error:
             raise DataReadyError(f"cannot read {self._name}: {error}") from error
-        missed = 0 if self._last_number is None else newest.line_seqno - self._last_number - 1
+        missed = (newest.line_seqno - self._last_number - 1) & 0xFFFF_FFFF  # the number has 32 bits: 60 days
         self._last_number = newest.line_seqno
         return Edge(newest.timestamp_ns, TimeKind.EDGE, missed)
 
     def close(self) -> None:
         """Give the line back."""
         self._request.release()
-
-
-class PacedDataReady:
-    """No line: a read every `period_s` on absolute deadlines, stamped with the time of the read."""
-
-    def __init__(self, clock: Clock, period_s: float) -> None:
-        self._clock = clock
-        self._period_ns = round(period_s * 1e9)
-        self._deadline_ns = clock.now_ns() + self._period_ns
-
-    def wait(self, timeout_s: float) -> Edge | None:
-        """Sleep until the next deadline; whole periods slept through count as missed."""
-        ahead_ns = self._deadline_ns - self._clock.now_ns()
-        if ahead_ns > timeout_s * 1e9:
-            self._clock.sleep(timeout_s)
-            return None
-        if ahead_ns > 0:
-            self._clock.sleep(ahead_ns / 1e9)
-        now_ns = self._clock.now_ns()
-        missed = max(0, (now_ns - self._deadline_ns) // self._period_ns)
-        self._deadline_ns += (missed + 1) * self._period_ns
-        return Edge(now_ns, TimeKind.READ, missed)
-
-    def postpone(self, seconds: float) -> None:
-        """Move all deadlines to come."""
-        self._deadline_ns += round(seconds * 1e9)
-
-    def close(self) -> None:
-        """Nothing to release."""

@@ -12,6 +12,7 @@ from estimation.wavelet import CausalSmoother
 SAMPLES_PER_STEP = 8
 GAP_S = 0.05  # longer than any jitter, shorter than any burst
 PERIOD_MEMORY = 2000  # samples
+SHORTER_IN_ROW, LONGER_IN_ROW = 4, 40  # samples so far apart prove a wrong idea of the period
 GAP_PERIODS = 4.0  # of the source itself, if that is slow
 
 
@@ -28,6 +29,8 @@ class BlockCutter:
     step_end_ns: int | None = None
     period_s: float = 0.0  # of the samples, running mean
     periods: int = 0
+    shorter_in_row: int = 0
+    longer_in_row: int = 0
     backward: int = 0  # samples dropped because their time was not later than the last one's
 
     def add(self, sample: ImuSample, mount: Mount) -> tuple[float, Step | None]:
@@ -54,12 +57,20 @@ class BlockCutter:
         return gap_s, self._cut(mount) if self.count == SAMPLES_PER_STEP else None
 
     def _learn_period(self, dt_s: float) -> None:
-        """Mean distance of neighbouring samples; where some were lost between them, it says nothing."""
-        if self.periods == 0 or dt_s < 0.6 * self.period_s:
-            self.period_s, self.periods = dt_s, 1
-        elif dt_s < 1.6 * self.period_s:
+        """Mean distance of neighbouring samples. One much shorter or longer says nothing, a row of them all."""
+        if self.periods and 0.6 * self.period_s <= dt_s < 1.6 * self.period_s:
+            self.shorter_in_row = self.longer_in_row = 0
             self.periods = min(self.periods + 1, PERIOD_MEMORY)
             self.period_s += (dt_s - self.period_s) / self.periods
+            return
+        if dt_s < self.period_s:
+            self.shorter_in_row, self.longer_in_row = self.shorter_in_row + 1, 0
+        else:
+            # Between them samples may have been lost.
+            self.shorter_in_row, self.longer_in_row = 0, self.longer_in_row + 1
+        if not self.periods or self.shorter_in_row >= SHORTER_IN_ROW or self.longer_in_row >= LONGER_IN_ROW:
+            self.period_s, self.periods = dt_s, 1
+            self.shorter_in_row = self.longer_in_row = 0
 
     def _cut(self, mount: Mount) -> Step:
         assert self.last_ns is not None

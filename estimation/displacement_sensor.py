@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import isfinite
 
-from estimation.records import CanState, Displacement
+from estimation.records import CanState, Displacement, ReadingFault
 
 GATE_SIGMAS = 4.5
 TRUST_SIGMAS = 2.5  # a biased sensor must agree this well to be trusted again
@@ -17,6 +17,8 @@ LONGEST_PERIOD_S = 1.0  # a longer pause tells nothing of the source's rate
 MARGIN_M = 0.04  # beyond the stroke: scale and offset are not known yet
 NOISE_FLOOR_M = 0.0003  # half a millimetre of resolution, uniform
 NOISE_MEMORY = 100  # readings
+
+_INVALID = (ReadingFault.INVALID, ReadingFault.MALFORMED, ReadingFault.CHECKSUM)
 
 
 @dataclass(slots=True)
@@ -42,6 +44,7 @@ class DisplacementSensor:
     timeout_s: float = 1.0  # silent after this long
     noise_readings: float = 10.0  # weight of the prior
     last_ns: int | None = None
+    sound: bool = False  # a reading without fault has come; the next three are of the last such
     last_value_m: float = 0.0
     last_prediction_m: float = 0.0
     period_s: float = 0.1
@@ -52,6 +55,7 @@ class DisplacementSensor:
     rejected_in_row: int = 0
     accepted_in_row: int = 0
     invalid: bool = False
+    repeated: bool = False  # by its own counter: as good as stuck
     out_of_range: bool = False
     stuck: bool = False
     biased: bool = False
@@ -61,17 +65,21 @@ class DisplacementSensor:
 
         `known`: the prediction is more than a guess. The jump from a guess to the first fused reading is no travel.
         """
-        if self.last_ns is not None:
+        fault = reading.fault
+        self.repeated = fault is ReadingFault.REPEATED
+        if self.last_ns is not None and not self.repeated:  # copies that come in a burst tell nothing of the rate
             gap_s = (reading.t_ns - self.last_ns) * 1e-9
             if 0 < gap_s < LONGEST_PERIOD_S:
                 self.period_s += 0.1 * (gap_s - self.period_s)
-        first = self.last_ns is None
         self.last_ns = reading.t_ns
-        self.invalid = not reading.valid or not isfinite(reading.value_m)
-        self.out_of_range = not self.invalid and not -MARGIN_M <= reading.value_m <= self.stroke_m + MARGIN_M
-        if self.invalid or self.out_of_range:
+        self.invalid = fault in _INVALID or (reading.valid and not isfinite(reading.value_m))
+        self.out_of_range = fault is ReadingFault.OUT_OF_RANGE or (
+            reading.valid and not self.invalid and not -MARGIN_M <= reading.value_m <= self.stroke_m + MARGIN_M
+        )
+        if self.invalid or self.out_of_range or self.repeated:
             return Reading(reading.t_ns, reading.value_m, usable=False)
 
+        first, self.sound = not self.sound, True
         if not first and reading.value_m == self.last_value_m:
             # Not the first prediction of the row: that one may have known nothing of the value yet.
             if self.same_in_row == 0 or not (known and self.was_known):
@@ -111,7 +119,7 @@ class DisplacementSensor:
         for ill, word in (
             (self.invalid, CanState.INVALID),
             (self.out_of_range, CanState.OUT_OF_RANGE),
-            (self.stuck, CanState.STUCK),
+            (self.stuck or self.repeated, CanState.STUCK),
             (self.biased, CanState.BIASED),
             (age_s > max(LATE_S, LATE_PERIODS * self.period_s), CanState.LATE),
         ):

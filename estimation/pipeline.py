@@ -10,7 +10,7 @@ from dataclasses import replace
 from math import acos, degrees, hypot, log, sqrt
 
 from estimation.belief import SEGMENT_OF, Phase
-from estimation.blocks import GAP_PERIODS, SAMPLES_PER_STEP
+from estimation.blocks import GAP_PERIODS, SAMPLES_PER_STEP, BlockCutter
 from estimation.displacement_sensor import STUCK_READINGS
 from estimation.mount import Mount
 from estimation.mskf import SPEED, P, V
@@ -26,6 +26,7 @@ from estimation.records import (
     MoveKind,
     Output,
     Record,
+    SensorChange,
     Tick,
     Tier,
 )
@@ -40,6 +41,7 @@ NOMINAL_RATE_HZ = 819.2
 LAG_S = 4.0  # the settled tier runs so far behind; every decision is taken within it
 WARM_UP_S = 3.0  # gyro bias and level must be known before a burst can be told from them
 SILENT_IMU_S = 0.25
+FIRST_SAMPLE_S = 2.0  # a sensor that is being started is not silent yet
 SENSOR_CHANCE_S = 2.0
 UPSET_LOOK_BACK_S = 0.5  # an unexplained motion began before it was too large to explain
 KNOWN_SIGMA_M = 0.03  # a stroke known no better than this is a guess
@@ -93,6 +95,8 @@ class Pipeline:
             self._feed_sample(record, out)
         elif isinstance(record, Tick):
             self._pass_time(record.t_ns, out)
+        elif isinstance(record, SensorChange):
+            self._change_sensor(record, out)
         elif not record.is_reference:
             self._feed_reading(record, out)
         return out
@@ -116,6 +120,14 @@ class Pipeline:
             self._pass_time(sample.t_ns, out, even_short=True)
         if step is not None:
             self._take(step, out)
+
+    def _change_sensor(self, change: SensorChange, out: list[Output]) -> None:
+        """Begin anew with the inertial sensor; the stroke and what the displacement sensor is like stay known."""
+        s = self.state
+        if s.first_ns is None:
+            return  # the first one
+        out.append(Event(change.t_ns, "another inertial sensor: its errors are learned anew"))
+        s.cutter, s.bank, s.new_sensor, s.mount_checked = BlockCutter(), None, True, False
 
     def _feed_reading(self, reading: Displacement, out: list[Output]) -> None:
         s = self.state
@@ -150,6 +162,8 @@ class Pipeline:
         # A slow source makes a step less often than it makes samples.
         heard_ns = max(s.last_ns, s.cutter.last_ns or 0)
         patience_s = max(SILENT_IMU_S, GAP_PERIODS * s.cutter.period_s)
+        if s.last_ns == s.first_ns:
+            patience_s = max(patience_s, FIRST_SAMPLE_S)
         if silent_s <= 0 or ((t_ns - heard_ns) * 1e-9 < patience_s and not even_short):
             return
         if silent_s >= patience_s and s.belief.open_free is None:
@@ -166,6 +180,8 @@ class Pipeline:
     def _take(self, step: Step, out: list[Output]) -> None:
         s = self.state
         step.readings, s.pending = s.pending, []
+        if s.new_sensor and not step.blind:
+            s.new_sensor, step.new_sensor, s.warm_from_ns = False, True, step.t_ns
         decision = None
         if not step.blind:
             decision = self._recognise(step)
@@ -222,16 +238,19 @@ class Pipeline:
         step.vibration_m_s2 = bank.vibration_m_s2
         step.step_m_s = steps.x[CONFIRM_START]
         s.supervisor.see(step)
-        assert s.first_ns is not None
-        if s.belief.open_free is not None or step.t_ns - s.first_ns < WARM_UP_S * 1e9:
+        if s.belief.open_free is not None or not self._is_warm(step):
             return None
         return s.recogniser.update(step.t_ns, steps, bank, self._context())
+
+    def _is_warm(self, step: Step) -> bool:
+        s = self.state
+        assert s.first_ns is not None
+        return step.t_ns - max(s.first_ns, s.warm_from_ns) >= WARM_UP_S * 1e9
 
     def _check_mount(self, step: Step, out: list[Output]) -> None:
         """Say once if gravity does not lie where the mount says that up is."""
         s = self.state
-        assert s.first_ns is not None
-        if not s.mount_checked and step.t_ns - s.first_ns > WARM_UP_S * 1e9:
+        if not s.mount_checked and self._is_warm(step):
             s.mount_checked = True
             upright = matrix(s.head.orientation)[2][2]
             if s.head.gravity_m_s2 > 0 and upright < LEAST_UPRIGHT:

@@ -58,6 +58,8 @@ class PipelineState:
     pending: list[Reading] = field(default_factory=list)
     waiting_start: Start | None = None  # to be believed if no sensor speaks
     first_ns: int | None = None
+    warm_from_ns: int = 0  # when the present inertial sensor was first heard
+    new_sensor: bool = False  # not heard yet
     last_ns: int = 0  # end of the last step
     moves: int = 0
     mount_checked: bool = False

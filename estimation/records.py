@@ -31,15 +31,38 @@ class ImuSample:
     time_kind: TimeKind = TimeKind.EDGE
 
 
+class ReadingFault(IntEnum):
+    """What a displacement reading shows to be wrong by itself, before any judgement by the estimator."""
+
+    NONE = 0
+    INVALID = 1  # the source's own word: validity flag, error code, emergency
+    OUT_OF_RANGE = 2  # beyond the limits set for the source
+    MALFORMED = 3  # wrong length or undecodable: there is no value
+    CHECKSUM = 4  # the frame's own checksum does not fit
+    REPEATED = 5  # the frame's own counter stands still: the sender froze
+
+
 @dataclass(slots=True, frozen=True)
 class Displacement:
-    """One reading of a displacement sensor; `valid` is the source's own word, before any judgement of ours."""
+    """One reading of a displacement sensor."""
 
     t_ns: int
     value_m: float
-    valid: bool = True
+    fault: ReadingFault = ReadingFault.NONE
     # A laboratory sensor beside the observed one: recorded and compared with, never estimated from.
     is_reference: bool = False
+
+    @property
+    def valid(self) -> bool:
+        """Whether nothing speaks against it so far."""
+        return self.fault is ReadingFault.NONE
+
+
+@dataclass(slots=True, frozen=True)
+class SensorChange:
+    """From here on another inertial sensor speaks: what was learned of the last one is void."""
+
+    t_ns: int
 
 
 @dataclass(slots=True, frozen=True)
@@ -49,7 +72,7 @@ class Tick:
     t_ns: int
 
 
-Record = ImuSample | Displacement | Tick
+Record = ImuSample | Displacement | Tick | SensorChange
 
 
 class Segment(StrEnum):

@@ -41,6 +41,7 @@ class Step:
     step_m_s: float = 0.0
     vibration_m_s2: float = 0.0
     blind: bool = False  # no inertial sample in it
+    new_sensor: bool = False  # the first one of another sensor
     readings: list[Reading] = field(default_factory=list)
 
 
@@ -122,6 +123,8 @@ class Track:
 
     def advance(self, step: Step, belief: Belief, settings: EstimatorSettings, latency_s: float) -> list[bool]:
         """Go one step on. Returns, for each usable reading of the step, whether it lay within the gate."""
+        if step.new_sensor:
+            self._forget_sensor()
         phase, motion = belief.phase_at(step.t_ns)
         if phase is not self.phase:
             self._change(phase, motion, step, settings)
@@ -130,6 +133,12 @@ class Track:
         else:
             self._feel(step, motion)
         return [self._observe(reading, step.t_ns, latency_s) for reading in step.readings if reading.usable]
+
+    def _forget_sensor(self) -> None:
+        """Another part has other biases, and may sit a little differently."""
+        self.gravity_m_s2, self.rest_s = 0.0, 0.0
+        self.gyro_bias, self.gyro_bias_s = (0.0, 0.0, 0.0), 0.0
+        self.chart = ControlChart()
 
     def _guess(self, step: Step) -> None:
         """A step without inertial samples: rest and cruise go on by themselves, a burst or worse is lost."""
@@ -165,6 +174,7 @@ class Track:
     def _orient(self, step: Step, resting: bool) -> None:
         if self.gravity_m_s2 == 0.0:
             self.orientation = corrected(IDENTITY, step.accel, 1.0)
+            self.gravity_m_s2 = _norm(step.accel)  # even when not at rest: the best guess for a new sensor
         if not resting:
             x, y, z = (a - b for a, b in zip(step.gyro, self.gyro_bias, strict=True))
             self.orientation = propagated(self.orientation, (x, y, z), step.dt_s)
@@ -174,8 +184,7 @@ class Track:
         self.rest_s += step.dt_s
         gain = step.dt_s / min(self.rest_s, LEVEL_TIME_S)
         self.orientation = corrected(self.orientation, step.accel, gain)
-        ax, ay, az = step.accel
-        self.gravity_m_s2 += gain * (sqrt(ax * ax + ay * ay + az * az) - self.gravity_m_s2)
+        self.gravity_m_s2 += gain * (_norm(step.accel) - self.gravity_m_s2)
         self.gyro_bias_s = min(self.gyro_bias_s + step.dt_s, GYRO_BIAS_TIME_S)
         gain = step.dt_s / self.gyro_bias_s
         bx, by, bz = self.gyro_bias
@@ -255,3 +264,8 @@ class Track:
             self.readings_in_move += 1
             self.filter.state.measure(row, self.innovation_m, reading.variance_m2)
         return accepted
+
+
+def _norm(v: Vector) -> float:
+    x, y, z = v
+    return sqrt(x * x + y * y + z * z)

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from daemon.demo import DemoResult
+    from drivers.virtual.faults import FaultScript
 
 HELP = (
     "Measure one push and one retract of a virtual roof support in simulated time, by the same driver, bus, "
-    "estimator and recorder that a real support would use. Writes demo.mcap and demo.png."
+    "estimator and recorder that a real support would use. Writes demo.mcap and demo.png. With --faults the "
+    "virtual devices go wrong as a script says."
 )
 EXAMPLE = "ramstroke demo --seed 7 --out /tmp/demo"
 
@@ -17,19 +22,22 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.add_argument("--seed", type=int, default=1, help="which virtual support (default 1)")
     parser.add_argument("--out", type=Path, default=Path("demo"), help="folder for the results (default demo)")
+    parser.add_argument("--faults", type=Path, help="fault script, such as config/faults/wet_cable.toml")
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Play the demo; 1 if not every move was found."""
+    """Play the demo; 1 if not every move was found although nothing went wrong by script."""
     from daemon import terminal
     from daemon.demo import demo_settings, run_demo
     from daemon.errors import CommandError, UsageError
+    from daemon.fault_file import load_faults
     from daemon.plots import plot_demo
     from daemon.virtual import virtual_support
 
     if arguments.seed < 0:
         raise UsageError("--seed must not be negative")
+    faults = None if arguments.faults is None else load_faults(arguments.faults)
     try:
         arguments.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -39,33 +47,58 @@ def run(arguments: argparse.Namespace) -> int:
     recording, picture = arguments.out / "demo.mcap", arguments.out / "demo.png"
     settings = demo_settings(arguments.seed)
     with terminal.progress("virtual cycle", 1.0) as progress:
-        result = run_demo(settings, recording, progress)
+        result = run_demo(settings, recording, progress, faults)
     plot_demo(picture, virtual_support(settings, cycles=1).truth(), result.settled, result.observed)
 
-    rows: list[dict[str, Any]] = []
-    for move, true in zip(result.moves, result.truth, strict=False):
-        rows.append(
-            terminal.move_row(move)
-            | {
-                "truth_mm": true.end_m * 1e3,
-                "error_mm": (move.end_m - true.end_m) * 1e3,
-                "error_before_stop_mm": (move.end_before_stop_m - true.end_m) * 1e3,
-            }
-        )
-    found = len(result.moves) == len(result.truth)
+    rows = _rows(result)
+    code = 0 if len(rows) == len(result.truth) or faults is not None else 1
     if arguments.json:
-        terminal.print_json(
-            {
-                "seed": arguments.seed,
-                "moves": rows,
-                "moves_expected": len(result.truth),
-                "recording": str(recording),
-                "picture": str(picture),
-            }
-        )
-        return 0 if found else 1
+        report: dict[str, Any] = {
+            "seed": arguments.seed,
+            "moves": rows,
+            "moves_expected": len(result.truth),
+            "recording": str(recording),
+            "picture": str(picture),
+        }
+        if faults is not None:
+            report["faults"] = [fault.model_dump() for fault in faults.in_order]
+            report["events"] = [{"t_s": event.t_ns * 1e-9, "what": event.what} for event in result.events]
+        terminal.print_json(report)
+        return code
+    _print_table(arguments.seed, rows)
+    if faults is not None:
+        for t_s, what in _history(result, faults):
+            terminal.say(f"{t_s:8.2f} s  {what}")
+    terminal.say(f"recording {recording}, picture {picture}")
+    if len(rows) < len(result.truth):
+        terminal.ERR.print(f"{len(rows)} of {len(result.truth)} moves were found", style="bold red")
+    return code
+
+
+def _rows(result: DemoResult) -> list[dict[str, Any]]:
+    """The moves that were found, each beside the truth."""
+    from daemon import terminal
+
+    rows: list[dict[str, Any]] = []
+    for true in result.truth:
+        move = result.move_of(true)
+        if move is not None:
+            rows.append(
+                terminal.move_row(move)
+                | {
+                    "truth_mm": true.end_m * 1e3,
+                    "error_mm": (move.end_m - true.end_m) * 1e3,
+                    "error_before_stop_mm": (move.end_before_stop_m - true.end_m) * 1e3,
+                }
+            )
+    return rows
+
+
+def _print_table(seed: int, rows: list[dict[str, Any]]) -> None:
+    from daemon import terminal
+
     made = terminal.table(
-        f"Virtual support {arguments.seed}, first cycle, nothing learned before",
+        f"Virtual support {seed}, first cycle, nothing learned before",
         "move",
         "estimate mm",
         "± 1σ mm",
@@ -82,7 +115,9 @@ def run(arguments: argparse.Namespace) -> int:
             row["can_state"],
         )
     terminal.OUT.print(made)
-    terminal.say(f"recording {recording}, picture {picture}")
-    if not found:
-        terminal.ERR.print(f"{len(result.moves)} of {len(result.truth)} moves were found", style="bold red")
-    return 0 if found else 1
+
+
+def _history(result: DemoResult, faults: FaultScript) -> list[tuple[float, str]]:
+    """What went wrong by script and what the estimator said, in order of time."""
+    told = [(event.t_ns * 1e-9, f"estimator: {event.what}") for event in result.events]
+    return sorted([*told, *((fault.at_s, f"script: {fault.sentence}") for fault in faults.fault)])

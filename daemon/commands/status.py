@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import argparse
+from datetime import datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 HELP = "Ask the running daemon what it sees: stroke, sensors, recorder, viewers."
 EXAMPLE = "ramstroke status --json"
-
-
-# Just below 1/√12, the sigma of a stroke that may be anything between the stops.
-UNDETERMINED_SHARE = 0.28
+PARTS = ("imu", "can", "displacement", "estimator", "recorder", "loop")
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -25,6 +24,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     from daemon import terminal
     from daemon.configuration import load
+    from daemon.health import UNDETERMINED_SHARE
     from daemon.live_client import first_line
     from daemon.settings import Settings
 
@@ -43,23 +43,31 @@ def run(arguments: argparse.Namespace) -> int:
             f"{estimate['displacement_mm']:.1f} ± {estimate['sigma_mm']:.1f} mm (1σ), "
             f"{estimate['velocity_mm_s']:+.1f} mm/s, {estimate['segment']}, sensor {estimate['can_state']}"
         )
-    made = terminal.table(f"ramstroke {status['version']}", "part", "state")
-    made.columns[1].justify = "left"
+    made = terminal.table(f"ramstroke {status['version']}", "part", "state", "counted")
+    made.columns[1].justify = made.columns[2].justify = "left"
     made.add_row("stroke", stroke)
-    for part in ("imu", "can", "recorder"):
-        made.add_row(part, escape(_describe(status[part])))
+    for part in PARTS:
+        made.add_row(part, escape(_state(status[part], status["t_s"])), escape(_counters(status[part])))
     live = status["live"]
-    made.add_row("viewers", f"{live['viewers']} connected, {live['dropped']} lines dropped")
+    made.add_row("viewers", f"{live['viewers']} connected", f"lines dropped {live['dropped']}")
     terminal.OUT.print(made)
     return 0
 
 
-def _describe(part: dict[str, object]) -> str:
-    """State first, then the counters that are not zero."""
-    words = [str(part["state"])]
+def _state(part: dict[str, Any], now_s: float) -> str:
+    """The word, and for a part that is ill since when, why, and what to do."""
+    if not part["what"]:
+        return str(part["state"])
+    began = datetime.now() - timedelta(seconds=now_s - part["since_s"])
+    return f"{part['state']} since {began:%H:%M:%S}: {part['what']}; {part['advice']}"
+
+
+def _counters(part: dict[str, Any]) -> str:
+    """What was counted, without zeros."""
+    words: list[str] = []
     for name, value in part.items():
-        if name != "state" and value and not isinstance(value, list | dict):
-            words.append(f"{name.replace('_', ' ')} {value}")
-        elif isinstance(value, dict):
-            words.extend(f"{kind} {count}" for kind, count in value.items() if count)
-    return "; ".join(words)
+        if name in ("state", "since_s", "what", "advice") or not value or isinstance(value, list):
+            continue
+        counts = value.items() if isinstance(value, dict) else [(name, value)]
+        words.extend(f"{kind.replace('_', ' ')} {count}" for kind, count in counts if count)
+    return ", ".join(words)

@@ -30,16 +30,22 @@ class DecodeError(ValueError):
     """A message does not have the layout of its schema."""
 
 
-def _field_types(text: str) -> list[str]:
-    """Types of the fields of a ros2msg text, in order; constants and dependent definitions are not fields."""
-    types: list[str] = []
+def fields(text: str) -> list[list[str]]:
+    """Type and name of the fields of a ros2msg text, in order; constants and dependent definitions are not fields."""
+    found: list[list[str]] = []
     for line in text.splitlines():
         if line.startswith("==="):
             break
         words = line.partition("#")[0].split()
-        if not words or "=" in words[1]:
-            continue
-        types += ["int32", "uint32"] if words[0] == _STAMP else [words[0]]
+        if words and "=" not in "".join(words[1:]):
+            found.append(words)
+    return found
+
+
+def _field_types(text: str) -> list[str]:
+    types: list[str] = []
+    for kind, *_ in fields(text):
+        types += ["int32", "uint32"] if kind == _STAMP else [kind]
     return types
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Callable
+from dataclasses import replace
 from io import BytesIO
 from typing import NamedTuple
 
@@ -15,6 +16,7 @@ from mcap.records import Channel as ChannelRecord
 from mcap.records import Schema as SchemaRecord
 
 from daemon.recording import scan
+from daemon.recording.cdr import fields
 from daemon.recording.metadata import METADATA_NAME
 from daemon.recording.scan import DamageLog, RawRecord
 from daemon.recording.topics import TOPICS, Recorded
@@ -101,8 +103,14 @@ class Contents:
             raise ValueError("not a channel we could have written")
         channel = Channel(record.topic, record.message_encoding, schema.name, schema.encoding, schema.data)
         own = OWN_CHANNELS.get(record.topic)
-        decode = TOPICS[record.topic].decode if channel == own else None
+        decode = TOPICS[record.topic].decode if own is not None and _is_readable(channel, own) else None
         self.channels[record.id] = KnownChannel(channel, decode)
+
+
+def _is_readable(channel: Channel, own: Channel) -> bool:
+    """The same fields; constants and comments may be those of another version."""
+    theirs, ours = (replace(c, schema_text=b"") for c in (channel, own))
+    return theirs == ours and fields(channel.schema_text.decode(errors="replace")) == fields(own.schema_text.decode())
 
 
 _TAKERS: dict[int, Callable[[Contents, bytes], None]] = {

@@ -80,6 +80,12 @@ class Recorder:
         """Messages that wait for the disk."""
         return len(self._queue)
 
+    @property
+    def accounted(self) -> int:
+        """Messages that are in a file or counted as lost: while some are queued, a thread that lives counts on."""
+        counters = self._series.counters
+        return counters.messages + counters.dropped if self._thread.is_alive() else 0
+
     def start(self) -> None:
         """Begin the first file; does nothing when the settings say not to record."""
         if not self._settings.enabled:

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 from daemon.recording.cdr import Layout
 from drivers.adis16448.burst import Fault
-from estimation.records import CanState, MoveKind, Segment, Tier, TimeKind
+from estimation.records import CanState, MoveKind, ReadingFault, Segment, Tier, TimeKind
 
 
 def _constants(prefix: str, names: Iterable[tuple[str, int]]) -> str:
@@ -49,6 +49,17 @@ bool has_crc
     + "uint8 fault  # what is wrong with this burst: FAULT_*\n",
 )
 
+IDENTITY = Layout(
+    "ramstroke_msgs/msg/Adis16448Identity",
+    "# Who answers from here on\n"
+    + _TIME
+    + """\
+uint16 product_id  # [-] PROD_ID
+uint32 lot_id  # [-] LOT_ID1 in the upper half, LOT_ID2
+uint16 serial  # [-] SERIAL_NUM, bits 0 to 11
+""",
+)
+
 IMU_SAMPLE = Layout(
     "ramstroke_msgs/msg/ImuSample",
     "# One inertial sample in the sensor's axes; specific force, +g on the axis that points up\n"
@@ -83,10 +94,11 @@ uint8[] data  # [-] payload
 DISPLACEMENT = Layout(
     "ramstroke_msgs/msg/Displacement",
     "# One reading of a displacement sensor\n"
+    + _constants("FAULT", ((m.name, m.value) for m in ReadingFault))
     + _TIME
     + """\
-float64 value  # [m]
-bool valid  # the source's own word
+float64 value  # [m], NaN where the frame holds none
+uint8 fault  # what the reading itself shows to be wrong: FAULT_*
 bool decoded  # true: derived from a frame on /can/rx of this recording; false: an input of its own
 """,
 )

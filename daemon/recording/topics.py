@@ -10,6 +10,7 @@ from typing import Any
 from daemon.recording import schemas
 from daemon.recording.cdr import ENCAPSULATION, DecodeError, Layout
 from drivers.adis16448.burst import Burst, Fault
+from drivers.adis16448.identity import Identity
 from drivers.can.frame import Frame
 from estimation.records import (
     CanState,
@@ -19,6 +20,7 @@ from estimation.records import (
     ImuSample,
     Move,
     MoveKind,
+    ReadingFault,
     Segment,
     Tick,
     Tier,
@@ -26,6 +28,7 @@ from estimation.records import (
 )
 
 IMU_RAW = "/imu/adis16448"
+IMU_IDENTITY = "/imu/identity"
 IMU_SAMPLE = "/imu/sample"
 CAN_RX = "/can/rx"
 CAN_TX = "/can/tx"
@@ -69,7 +72,9 @@ class Health:
     json: str
 
 
-Recorded = Burst | ImuSample | Frame | RecordedDisplacement | Tick | Estimate | Move | Event | LogLine | Health
+Recorded = (
+    Burst | Identity | ImuSample | Frame | RecordedDisplacement | Tick | Estimate | Move | Event | LogLine | Health
+)
 
 
 # What `Topic.decode` raises for bytes that are not such a record (an unknown enum code is a LookupError).
@@ -95,6 +100,7 @@ class Topic:
 
 _TIME_KINDS = tuple(TimeKind)
 _FAULTS = {fault.value: fault for fault in Fault}
+_READING_FAULTS = {fault.value: fault for fault in ReadingFault}
 _SEGMENTS, _TIERS, _CAN_STATES, _MOVE_KINDS = tuple(Segment), tuple(Tier), tuple(CanState), tuple(MoveKind)
 _SEGMENT_CODES = {member: code for code, member in enumerate(_SEGMENTS)}
 _TIER_CODES = {member: code for code, member in enumerate(_TIERS)}
@@ -117,6 +123,14 @@ def _decode_burst(data: bytes) -> Burst:
         raise DecodeError("burst: not little-endian CDR")
     crc = values[14] if values[15] else None
     return Burst(values[1], _TIME_KINDS[values[16]], values[2:14], crc, _FAULTS[values[17]])
+
+
+def _encode_identity(identity: Identity) -> bytes:
+    return schemas.IDENTITY.pack(identity.t_ns, identity.product_id, identity.lot_id, identity.serial)
+
+
+def _decode_identity(data: bytes) -> Identity:
+    return Identity(*schemas.IDENTITY.unpack(data))
 
 
 def _encode_sample(sample: ImuSample) -> bytes:
@@ -145,11 +159,11 @@ def _displacement_topic(name: str, is_reference: bool) -> Topic:
         reading = record.reading
         if reading.is_reference != is_reference:
             raise ValueError(f"{name} does not carry a displacement with is_reference={reading.is_reference}")
-        return schemas.DISPLACEMENT.pack(reading.t_ns, reading.value_m, reading.valid, record.decoded)
+        return schemas.DISPLACEMENT.pack(reading.t_ns, reading.value_m, reading.fault, record.decoded)
 
     def decode(data: bytes) -> RecordedDisplacement:
-        t_ns, value_m, valid, decoded = schemas.DISPLACEMENT.unpack(data)
-        return RecordedDisplacement(Displacement(t_ns, value_m, valid, is_reference), decoded)
+        t_ns, value_m, fault, decoded = schemas.DISPLACEMENT.unpack(data)
+        return RecordedDisplacement(Displacement(t_ns, value_m, _READING_FAULTS[fault], is_reference), decoded)
 
     return Topic(name, schemas.DISPLACEMENT, lambda record: int(record.reading.t_ns), encode, decode)
 
@@ -276,6 +290,7 @@ def _stop_time(move: Move) -> int:
 
 _ROWS = (
     Topic(IMU_RAW, schemas.BURST, _own_time, _encode_burst, _decode_burst, starts_file=True),
+    Topic(IMU_IDENTITY, schemas.IDENTITY, _own_time, _encode_identity, _decode_identity, starts_file=True),
     Topic(IMU_SAMPLE, schemas.IMU_SAMPLE, _own_time, _encode_sample, _decode_sample, starts_file=True),
     Topic(CAN_RX, schemas.CAN_FRAME, _own_time, _encode_frame, _decode_frame, starts_file=True),
     Topic(CAN_TX, schemas.CAN_FRAME, _own_time, _encode_frame, _decode_frame),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Annotated, Literal, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -57,6 +58,14 @@ class ImuSettings(BaseModel):
         Literal["auto", "on", "off"], Field(description="checksum of bursts; auto: if the part has one")
     ] = "auto"
     block_samples: Annotated[int, Field(ge=1, le=64, description="samples handed over at a time")] = 8
+    acquisition: Annotated[
+        Literal["thread", "process"],
+        Field(description="read in a thread of the daemon, or in a process of its own that nothing else delays"),
+    ] = "thread"
+    realtime_priority: Annotated[
+        int | None,
+        Field(ge=1, le=99, description="SCHED_FIFO priority of the thread that reads; without one it has none"),
+    ] = None
 
     @model_validator(mode="after")
     def _filter_fits_range(self) -> ImuSettings:
@@ -99,6 +108,15 @@ class RegisterBits(NamedTuple):
     def holds_in(self, value: int) -> bool:
         """Whether these bits are as wanted."""
         return self.applied_to(value) == value
+
+
+def merged(table: Iterable[RegisterBits]) -> tuple[RegisterBits, ...]:
+    """The table with one line per register."""
+    lines: dict[str, RegisterBits] = {}
+    for name, to_set, to_clear in table:
+        known = lines.get(name, RegisterBits(name, 0, 0))
+        lines[name] = RegisterBits(name, known.to_set | to_set, known.to_clear | to_clear)
+    return tuple(lines.values())
 
 
 def _field(register: str, mask: int, value: int) -> RegisterBits:

@@ -9,45 +9,41 @@ an AsyncBufferedReader waits for ever: a spinning loop and silence (python-can 4
 from __future__ import annotations
 
 import asyncio
-import logging
 import time
 from collections.abc import Callable, Collection, Iterator
-from dataclasses import dataclass
+from dataclasses import asdict
+from typing import Any
 
 import can
 
-from drivers.can.error_frames import BUS_OFF, ERROR_ACTIVE, controller_state
+from drivers.can.diagnosis import Failure, LinkFacts, diagnose, failure_of
+from drivers.can.error_frames import BUS_OFF
+from drivers.can.error_tally import ErrorTally
 from drivers.can.frame import Frame, FrameId
-from drivers.can.interface import file_descriptor, open_bus, to_frame, to_message
+from drivers.can.intake import CanCounters, Intake
+from drivers.can.interface import InterfaceFault, interface_status, open_bus, to_message
+from drivers.can.opened import OpenedBus
+from drivers.can.reader import PacedReader
 from drivers.can.settings import CanSettings
 from drivers.clock import Clock
+from drivers.condition import Condition
 
 FRAMES_PER_WAKE = 64  # a flood must leave the event loop time for everything else
 FRAMES_PER_DRAIN = 4096
 FIRST_BACKOFF_S = 0.1
 LONGEST_BACKOFF_S = 5.0
-POLL_S = 0.005  # for a bus without file descriptor
+SUPERVISE_S = 1.0  # how often the task shows that it lives and asks about an interface that is silent
+SILENT_S = 5.0  # no source worth waiting for pauses as long, unless its time-out says so
 OLDEST_STAMP_S = 0.05  # an older kernel stamp rather means that the wall clock was set
-EMPTY_WAKES = 100  # a descriptor that is always readable but never gives a frame is broken
-
-_log = logging.getLogger(__name__)
-
-
-@dataclass(slots=True)
-class CanCounters:
-    """What happened on the link since the start."""
-
-    received: int = 0  # data frames handed on
-    ignored: int = 0  # data frames with identifiers that nobody asked for
-    error_frames: int = 0
-    sent: int = 0
-    send_failures: int = 0  # refused ones included
-    failures: int = 0  # failed openings and readings
-    reconnects: int = 0  # openings that worked, except the first
+EMPTY_WAKES = 100  # a descriptor that is readable as often without giving a frame is broken
 
 
 class _BusFailure(Exception):
-    """The bus must be opened anew; the text says why."""
+    """The bus must be opened anew."""
+
+    def __init__(self, failure: Failure) -> None:
+        super().__init__(failure.what)
+        self.failure = failure
 
 
 class CanBus:
@@ -58,7 +54,7 @@ class CanBus:
         on_frame: called in the event loop with every frame, error frames included. What it raises ends `run`.
         clock: source of the monotonic times of frames.
         ids: identifiers to receive, None for all.
-        opener: opens the python-can bus.
+        opener: opens the python-can bus, which must have a file descriptor.
     """
 
     def __init__(
@@ -72,57 +68,115 @@ class CanBus:
         self._settings = settings
         self._on_frame = on_frame
         self._clock = clock
-        self._ids = None if ids is None else frozenset(ids)
+        self._ids = ids
         self._opener = opener
-        self._bus: can.BusABC | None = None
+        self._intake = Intake(ids, max(SILENT_S, settings.displacement.timeout_ms * 1e-3))
+        self._open_bus: OpenedBus | None = None
+        self._failure: Failure | None = Failure(f"{settings.channel} is not opened yet", "wait a moment")
         self._was_open = False
-        self._waiting_for = "not opened yet"
         self._backoff = backoff_s()
-        self._empty_wakes = 0
+        self._next_try_ns = 0  # of `drain`
+        self._supervised_ns = 0  # by `drain`
         self._last_t_ns = 0
-        self.counters = CanCounters()
-        self.controller_state = ERROR_ACTIVE
-        self.last_error = ""
+        self._reads = self._reads_before = 0  # messages read, now and at the last supervision
+        self._empty_wakes = 0
+        self._send_error = ""
+        self.last_error = ""  # the last failure to open, read, send or close
+        self.progress = 0  # grows at least once a second while the task lives, whatever the bus does
 
     @property
-    def state(self) -> str:
-        """The word "running", or "waiting: " with the reason."""
-        if self._waiting_for:
-            return f"waiting: {self._waiting_for}"
-        if self.controller_state == BUS_OFF:
-            return f"waiting: {self._settings.channel} is bus-off (restart-ms of the interface ends it)"
-        return "running"
+    def counters(self) -> CanCounters:
+        """What happened on the link since the start."""
+        return self._intake.counters
+
+    @property
+    def errors(self) -> ErrorTally:
+        """What the error frames said."""
+        return self._intake.errors
+
+    @property
+    def controller_state(self) -> str:
+        """error-active, error-warning, error-passive or bus-off, as last told."""
+        if self._open_bus is not None and not self._open_bus.has_carrier:
+            return BUS_OFF  # without an error frame: it was so when the bus was opened
+        return self.errors.state
+
+    @property
+    def condition(self) -> Condition:
+        """How the link is now, in words for people."""
+        now_ns = self._clock.now_ns()
+        return diagnose(
+            LinkFacts(
+                channel=self._settings.channel,
+                failure=self._failure,
+                controller_state=self.controller_state,
+                transmit_errors=self.errors.transmit_errors,
+                receive_errors=self.errors.receive_errors,
+                nobody_acknowledges=self._intake.nobody_acknowledges(now_ns),
+                error_frames=self.errors.in_last_second(now_ns),
+                last_error=self.errors.last,
+                silent_s=self._intake.silent_s(now_ns),
+                unwanted_only_s=self._intake.unwanted_only_s(now_ns),
+                wanted=self._intake.wanted(),
+                strangers=self._intake.strangers(),
+                overload=self._intake.recent_overload(now_ns),
+                kernel_drops=self._intake.recent_drops(now_ns),
+                send_error=self._send_error,
+            )
+        )
+
+    def report(self) -> dict[str, Any]:
+        """Numbers and words for the health record."""
+        errors = self.errors
+        return asdict(self.counters) | {
+            "controller": self.controller_state,
+            "transmit_errors": errors.transmit_errors,
+            "receive_errors": errors.receive_errors,
+            "error_kinds": dict(errors.kinds),
+            "error_frames_per_s": errors.in_last_second(self._clock.now_ns()),
+            "last_error_frame": errors.last,
+            "last_error_frame_s": None if errors.last_ns is None else round(errors.last_ns * 1e-9, 3),
+            "last_error": self.last_error,
+        }
 
     async def run(self) -> None:
         """Receive until cancelled; failures of the bus lead to another try, never out of here."""
         try:
             while True:
                 try:
-                    self._open()
-                    await self._receive_until_failure()
+                    await self._receive_until_failure(self._open())
                 except _BusFailure as failure:
                     self._note_failure(failure)
                 self._close()
-                await asyncio.sleep(next(self._backoff))
+                await self._pause(next(self._backoff))
         finally:
             self.close()
 
     def drain(self) -> list[Frame]:
         """All frames waiting, stamped with the clock's time; for simulated time, without an event loop.
 
-        Opens the bus if need be; a failure is counted and gives an empty or short list.
+        Opens the bus if need be and supervises it; a failure is counted and gives an empty or short list.
         """
         frames: list[Frame] = []
+        now_ns = self._clock.now_ns()
+        if self._open_bus is None and now_ns < self._next_try_ns:
+            return frames
         try:
-            if self._bus is None:
-                self._open()
-            while len(frames) < FRAMES_PER_DRAIN and (message := self._receive()) is not None:
-                frame = to_frame(message, self._clock.now_ns())
-                if self._admit(frame):
+            opened = self._open_bus or self._open()
+            for _ in range(FRAMES_PER_DRAIN):
+                message = self._receive(opened)
+                if message is None:
+                    break
+                frame = self._intake.take(message, now_ns)
+                if frame is not None:
                     frames.append(frame)
+            if now_ns - self._supervised_ns >= SUPERVISE_S * 1e9:
+                self._supervised_ns = now_ns
+                self._supervise(opened)
         except _BusFailure as failure:
             self._note_failure(failure)
             self._close()
+            self._next_try_ns = now_ns + round(next(self._backoff) * 1e9)
         return frames
 
     def send(self, frame: Frame) -> bool:
@@ -130,113 +184,118 @@ class CanBus:
         try:
             if self._settings.listen_only:
                 raise ValueError("the option `listen_only` forbids to send")
-            if self._bus is None:
-                raise ValueError(f"cannot send, {self.state}")
-            self._bus.send(to_message(frame), timeout=0)
-        except (can.CanError, OSError, ValueError) as error:
+            if self._open_bus is None:
+                raise ValueError("cannot send, the bus is not open")
+            self._open_bus.bus.send(to_message(frame), timeout=0)
+        except Exception as error:  # whatever a back end finds to raise
             self.counters.send_failures += 1
-            self.last_error = self._describe(error)
+            self.last_error = self._send_error = self._describe(error)
             return False
         self.counters.sent += 1
+        self._send_error = ""
         return True
 
     def close(self) -> None:
         """Close the bus; `run` and `drain` would open it again."""
         self._close()
-        self._waiting_for = "closed"
+        self._failure = Failure(f"{self._settings.channel} is closed", "start the program")
 
-    def _open(self) -> None:
+    def _open(self) -> OpenedBus:
         try:
-            self._bus = self._opener(self._settings, self._ids)
+            status = interface_status(self._settings)
+            opened = OpenedBus(self._settings, self._opener(self._settings, self._ids), status)
         except Exception as error:  # whatever a back end finds to raise, the answer is another try
-            raise _BusFailure(self._describe(error)) from error
+            raise self._failed(error) from error
         self.counters.reconnects += self._was_open
         self._was_open = True
-        if self._waiting_for:
-            _log.info("CAN %s is open", self._settings.channel)
-        self._waiting_for = ""
-        self.controller_state = ERROR_ACTIVE
+        self._open_bus = opened
+        self._failure = None
         self._empty_wakes = 0
+        self._send_error = ""
+        self._supervised_ns = self._clock.now_ns()
+        self._intake.restart(self._supervised_ns)
+        return opened
 
     def _close(self) -> None:
-        bus, self._bus = self._bus, None
-        if bus is None:
+        opened, self._open_bus = self._open_bus, None
+        if opened is None:
             return
+        self._intake.note_drops(opened.new_drops(), self._clock.now_ns())
         try:
-            bus.shutdown()
-        except (can.CanError, OSError) as error:
+            opened.bus.shutdown()
+        except Exception as error:
             self.last_error = self._describe(error)
 
-    def _note_failure(self, failure: _BusFailure) -> None:
-        self.counters.failures += 1
-        self.last_error = str(failure)
-        if self._waiting_for != self.last_error:
-            _log.warning("CAN is waiting: %s", failure)
-        self._waiting_for = self.last_error
+    async def _pause(self, delay_s: float) -> None:
+        """Wait, but show meanwhile that the task lives."""
+        while delay_s > 0:
+            await asyncio.sleep(min(delay_s, SUPERVISE_S))
+            delay_s -= SUPERVISE_S
+            self.progress += 1
 
-    async def _receive_until_failure(self) -> None:
-        assert self._bus is not None
-        descriptor = file_descriptor(self._bus)
-        if descriptor is None:
+    async def _receive_until_failure(self, opened: OpenedBus) -> None:
+        try:
+            reader = PacedReader(opened.bus.fileno(), lambda: self._read_batch(opened))
+            reader.start()
+        except (OSError, ValueError, NotImplementedError) as error:  # no descriptor, or none to wait for
+            raise self._failed(error) from error
+        try:
             while True:
-                self._read_batch()
-                await asyncio.sleep(POLL_S)
-        loop = asyncio.get_running_loop()
-        failed: asyncio.Future[None] = loop.create_future()
-
-        def on_readable() -> None:
-            try:
-                self._note_wake(self._read_batch())
-            except Exception as error:
-                loop.remove_reader(descriptor)  # else it would fire again at once
-                if not failed.done():
-                    failed.set_exception(error)
-
-        loop.add_reader(descriptor, on_readable)
-        try:
-            await failed
+                await asyncio.wait([reader.failed], timeout=SUPERVISE_S)
+                if reader.failed.done():
+                    reader.failed.result()
+                self._supervise(opened)
         finally:
-            loop.remove_reader(descriptor)
+            reader.stop()
 
-    def _read_batch(self) -> int:
-        """Hand on the frames that are waiting, at most FRAMES_PER_WAKE; returns how many were read."""
+    def _read_batch(self, opened: OpenedBus) -> bool:
+        """Hand on the frames that are waiting, at most FRAMES_PER_WAKE; whether there were as many."""
         for count in range(FRAMES_PER_WAKE):
-            message = self._receive()
+            message = self._receive(opened)
             if message is None:
-                return count
-            frame = to_frame(message, self._arrival_ns(message))
-            if self._admit(frame):
+                self._empty_wakes = 0 if count else self._empty_wakes + 1
+                if self._empty_wakes >= EMPTY_WAKES:
+                    raise self._failed("always readable, but without a frame")
+                return False
+            frame = self._intake.take(message, self._arrival_ns(message))
+            if frame is not None:
                 self._on_frame(frame)
-        return FRAMES_PER_WAKE
+        return True
 
-    def _note_wake(self, frames: int) -> None:
-        self._empty_wakes = 0 if frames else self._empty_wakes + 1
-        if self._empty_wakes >= EMPTY_WAKES:
-            raise _BusFailure(self._describe("always readable, but without a frame"))
-
-    def _receive(self) -> can.Message | None:
-        assert self._bus is not None
+    def _receive(self, opened: OpenedBus) -> can.Message | None:
         try:
-            message = self._bus.recv(0)
+            message = opened.bus.recv(0)
         except Exception as error:  # CanError, OSError, on odd control data AssertionError
-            raise _BusFailure(self._describe(error)) from error
+            raise self._failed(error) from error
         if message is not None:
+            self._reads += 1
             self._backoff = backoff_s()
         return message
 
-    def _admit(self, frame: Frame) -> bool:
-        """Count a frame; False if nobody asked for it."""
-        if frame.is_error:
-            self.counters.error_frames += 1
-            self.controller_state = controller_state(frame, self.controller_state)
-            return True
-        if self.controller_state == BUS_OFF:
-            self.controller_state = ERROR_ACTIVE  # nothing arrives while bus-off
-        if self._ids is not None and frame.frame_id not in self._ids:
-            self.counters.ignored += 1
-            return False
-        self.counters.received += 1
-        return True
+    def _supervise(self, opened: OpenedBus) -> None:
+        """Once a second: is a bus that gives nothing still the one that was opened?
+
+        python-can reads ENETDOWN once per socket and then nothing for ever, and the socket of an interface
+        that was deleted and made anew stays dead without a word.
+        """
+        self.progress += 1
+        self._empty_wakes = 0
+        now_ns = self._clock.now_ns()
+        self._intake.note_drops(opened.new_drops(), now_ns)
+        if self._reads != self._reads_before:
+            opened.note_frames()
+        else:
+            try:
+                if opened.check():
+                    self._intake.note_filtered(now_ns)
+            except InterfaceFault as fault:
+                raise self._failed(fault) from fault
+        self._reads_before = self._reads
+
+    def _note_failure(self, failure: _BusFailure) -> None:
+        self.counters.failures += 1
+        self._failure = failure.failure
+        self.last_error = failure.failure.what
 
     def _arrival_ns(self, message: can.Message) -> int:
         """Monotonic arrival time: the kernel's stamp (wall clock) if it is plausible, else now."""
@@ -245,6 +304,12 @@ class CanBus:
         t_ns = now_ns - round(age_s * 1e9) if 0 <= age_s <= OLDEST_STAMP_S else now_ns
         self._last_t_ns = max(self._last_t_ns, t_ns)
         return self._last_t_ns
+
+    def _failed(self, reason: Exception | str) -> _BusFailure:
+        if isinstance(reason, InterfaceFault):
+            return _BusFailure(Failure(self._describe(reason.what), reason.advice))
+        number = getattr(reason, "errno", None) or getattr(reason, "error_code", None)
+        return _BusFailure(failure_of(self._describe(reason), self._settings.channel, number))
 
     def _describe(self, reason: Exception | str) -> str:
         """The reason in words, with the interface it belongs to."""

@@ -1,14 +1,17 @@
 """What a CANopen linear encoder says about itself beside its position.
 
 A CiA 406 sensor that lost its magnet may go on sending its last good position, so the position frame alone
-proves nothing: the emergency object (EMCY, CiA 301) tells.
+proves nothing: the emergency object (EMCY, CiA 301) tells. A sensor that is silent may tell by its heartbeat why.
 """
 
 from __future__ import annotations
 
 import struct
+from dataclasses import dataclass
 
+from drivers.can.cia301 import BOOT_UP
 from drivers.can.frame import Frame, FrameId
+from drivers.can.remembered import Count, TimeNs
 
 DEFAULT_NODE = 127
 
@@ -16,7 +19,7 @@ _EMCY_BASE = 0x080
 _TPDO1_BASE = 0x180
 _HEARTBEAT_BASE = 0x700
 _EMERGENCY_HEAD = struct.Struct("<HB")  # error code, error register
-_BOOT_UP = b"\x00"
+_GUARDING_TOGGLE = 0x80  # a node that is guarded instead of beating alternates this bit
 
 
 def position_id(node: int) -> FrameId:
@@ -34,32 +37,38 @@ def heartbeat_id(node: int) -> FrameId:
     return FrameId(_HEARTBEAT_BASE + node)
 
 
-class EmergencyMonitor:
-    """Remembers whether a node has an emergency pending.
+@dataclass(slots=True)
+class NodeWatch:
+    """Remembers whether a node has an emergency pending, and its state.
 
     An emergency ends when the node reports "no error" with an empty error register, or when it boots anew.
     """
 
-    def __init__(self, node: int) -> None:
-        self.ids = (emergency_id(node), heartbeat_id(node))
-        self.pending_code: int | None = None  # CiA 301 error code, None = no emergency
-        self.received = 0
-        self.malformed = 0
+    error_code: Count | None = None  # CiA 301 emergency error code, None = no emergency
+    error_register: Count = 0
+    state: Count | None = None  # of the last heartbeat or boot-up message
+    heard_ns: TimeNs = 0  # when that came
+    emergencies: Count = 0
+    malformed_emergencies: Count = 0
 
-    def observe(self, frame: Frame) -> None:
-        """Take in a frame; one with another identifier is ignored."""
-        emergency, heartbeat = self.ids
-        if frame.frame_id == emergency:
+    def observe(self, frame: Frame, node: int) -> None:
+        """Take in a frame; one that is neither emergency nor heartbeat of `node` is ignored."""
+        if frame.frame_id == emergency_id(node):
             self._observe_emergency(frame.data)
-        elif frame.frame_id == heartbeat and frame.data == _BOOT_UP:
-            self.pending_code = None
+        elif frame.frame_id == heartbeat_id(node) and len(frame.data) == 1:
+            self._observe_heartbeat(frame.data[0], frame.t_ns)
 
     def _observe_emergency(self, data: bytes) -> None:
         if len(data) < _EMERGENCY_HEAD.size:
-            self.malformed += 1
+            self.malformed_emergencies += 1
             return
-        self.received += 1
-        code, register = _EMERGENCY_HEAD.unpack_from(data)
+        self.emergencies += 1
+        code, self.error_register = _EMERGENCY_HEAD.unpack_from(data)
         # Code 0x00xx says that one error went away; the register tells whether others remain.
-        is_clear = code >> 8 == 0 and register == 0
-        self.pending_code = None if is_clear else code
+        is_clear = code >> 8 == 0 and self.error_register == 0
+        self.error_code = None if is_clear else code
+
+    def _observe_heartbeat(self, state: int, t_ns: int) -> None:
+        if state == BOOT_UP:
+            self.error_code, self.error_register = None, 0
+        self.state, self.heard_ns = state & ~_GUARDING_TOGGLE, t_ns

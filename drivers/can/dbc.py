@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cantools.database
 from cantools.database.can import Database, Message, Signal
 
 from drivers.can import cia406
-from drivers.can.frame import FrameId
+from drivers.can.frame import Frame, FrameId
 from drivers.can.presets import PRESETS, Preset
+from drivers.can.protection import ChecksumSignal, CounterSignal, checksum_signal, counter_signal
 from drivers.can.settings import CanConfigError, DisplacementSettings
 
 # Real files stay below 2 MB; a larger one would hold up the start for minutes.
 _LARGEST_DBC_BYTES = 8_000_000
 _NAMES_SHOWN = 12
 # Divided by, not multiplied with a fraction: 347 mm / 1000 is exactly the float 0.347.
+# What a CAN FD frame can hold beyond a classic one (ISO 11898-1); shorter messages are padded.
+_FD_LENGTHS = (8, 12, 16, 20, 24, 32, 48, 64)
 _UNITS_PER_METRE = {"m": 1, "cm": 100, "mm": 1000, "um": 1_000_000, "µm": 1_000_000, "μm": 1_000_000}
 
 
@@ -29,13 +32,22 @@ class DisplacementSignal:
     signal: Signal
     units_per_metre: int
     valid_signal: Signal | None
-    valid_value: int
+    valid_value: int  # raw
+    counter: CounterSignal | None
+    checksum: ChecksumSignal | None
+    lowest_code: int | None  # raw values from here on are codes, no positions
     may_be_longer: bool
+    padded_length: int  # of an FD frame
     node_id: int | None  # CANopen node, None for anything else
 
-    def accepts_length(self, length: int) -> bool:
-        """Whether a frame of `length` bytes can be this message."""
-        return length == self.message.length or (self.may_be_longer and length > self.message.length)
+    def accepts_length(self, frame: Frame) -> bool:
+        """Whether `frame` is as long as this message, or as a CAN FD frame that is padded to hold it."""
+        length, wanted = len(frame.data), self.message.length
+        return (
+            length == wanted
+            or (self.may_be_longer and length > wanted)
+            or (frame.is_fd and length == self.padded_length)
+        )
 
 
 def find_signal(settings: DisplacementSettings) -> DisplacementSignal:
@@ -48,15 +60,24 @@ def find_signal(settings: DisplacementSettings) -> DisplacementSignal:
     database = _load(layout.dbc)
     message = _message(database, layout)
     signal = _signal(message, layout.signal, "signal")
+    valid = _companion(message, signal, layout.valid_signal, "valid_signal")
+    counter = _companion(message, signal, layout.counter_signal, "counter_signal")
+    checksum = _companion(message, signal, layout.checksum_signal, "checksum_signal")
     node_id = (settings.node_id or cia406.DEFAULT_NODE) if settings.preset == "cia406" else None
     return DisplacementSignal(
         frame_id=_frame_id(settings, message, node_id),
         message=message,
         signal=signal,
         units_per_metre=_units_per_metre(settings, signal),
-        valid_signal=(None if layout.valid_signal is None else _signal(message, layout.valid_signal, "valid_signal")),
+        valid_signal=valid,
         valid_value=layout.valid_value,
+        counter=None if counter is None else counter_signal(counter),
+        checksum=(
+            None if checksum is None or layout.checksum is None else checksum_signal(message, checksum, layout.checksum)
+        ),
+        lowest_code=layout.lowest_code,
         may_be_longer=layout.may_be_longer,
+        padded_length=next((length for length in _FD_LENGTHS if length >= message.length), message.length),
         node_id=node_id,
     )
 
@@ -67,24 +88,22 @@ def _layout(settings: DisplacementSettings) -> Preset:
         assert settings.dbc is not None
         assert settings.message is not None
         assert settings.signal is not None
-        return Preset(settings.dbc, settings.message, settings.signal, settings.valid_signal, _valid_value(settings))
-    preset = PRESETS[settings.preset]
-    message = settings.message or preset.message
-    valid_signal, valid_value = settings.valid_signal, _valid_value(settings)
-    if valid_signal is None and message == preset.message:
-        valid_signal, valid_value = preset.valid_signal, preset.valid_value
-    return Preset(
-        preset.dbc,
-        message,
-        settings.signal or preset.signal,
-        valid_signal,
-        valid_value,
-        preset.may_be_longer,
-    )
-
-
-def _valid_value(settings: DisplacementSettings) -> int:
-    return 1 if settings.valid_value is None else settings.valid_value
+        layout = Preset(settings.dbc, settings.message, settings.signal)
+    else:
+        layout = PRESETS[settings.preset]
+        message, signal = settings.message or layout.message, settings.signal or layout.signal
+        if message != layout.message:  # what belongs to the preset's message does not belong to another one
+            layout = Preset(layout.dbc, message, signal, may_be_longer=layout.may_be_longer)
+        elif signal != layout.signal:
+            layout = replace(layout, signal=signal, lowest_code=None)
+    if settings.valid_signal is not None:
+        valid_value = 1 if settings.valid_value is None else settings.valid_value
+        layout = replace(layout, valid_signal=settings.valid_signal, valid_value=valid_value)
+    if settings.counter_signal is not None:
+        layout = replace(layout, counter_signal=settings.counter_signal)
+    if settings.checksum_signal is not None:
+        layout = replace(layout, checksum_signal=settings.checksum_signal, checksum=settings.checksum)
+    return layout
 
 
 def _load(path: Path) -> Database:
@@ -134,6 +153,20 @@ def _signal(message: Message, name: str, option: str) -> Signal:
             f'Message "{message.name}" has no signal "{name}" (option `{option}`); it has {_names(signals)}.'
         )
     return signals[name]
+
+
+def _companion(message: Message, signal: Signal, name: str | None, option: str) -> Signal | None:
+    """The signal `name` of the message, which every frame with the displacement `signal` must hold."""
+    if name is None:
+        return None
+    companion = _signal(message, name, option)
+    own, pages = signal.multiplexer_ids, companion.multiplexer_ids
+    if name == signal.name or (pages and not (own and set(own) <= set(pages))):
+        raise CanConfigError(
+            f'Signal "{name}" (option `{option}`) does not stand beside "{signal.name}" in the same frame: '
+            "name another one."
+        )
+    return companion
 
 
 def _names(found: dict[str, Message] | dict[str, Signal]) -> str:

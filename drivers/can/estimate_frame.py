@@ -6,6 +6,7 @@ import math
 import struct
 from dataclasses import dataclass
 
+from drivers.can.checksums import crc8_j1850
 from drivers.can.frame import Frame
 from drivers.can.settings import PublishSettings
 from estimation.records import CanState, Estimate, Segment, Tier
@@ -102,16 +103,6 @@ def decode_estimate(frame: Frame) -> PublishedEstimate:
         can_state=_SENSOR_STATES[state],
         counter=state_and_counter >> 4,
     )
-
-
-def crc8_j1850(data: bytes) -> int:
-    """CRC-8 SAE J1850: polynomial 0x1D, start 0xFF, final XOR 0xFF, not reflected."""
-    crc = 0xFF
-    for byte in data:
-        crc ^= byte
-        for _ in range(8):
-            crc = (crc << 1 ^ 0x1D) & 0xFF if crc & 0x80 else crc << 1
-    return crc ^ 0xFF
 
 
 def _signed(value_si: float) -> int:

@@ -1,4 +1,4 @@
-"""Opening a python-can bus, and the way between its messages and our frames."""
+"""Opening a python-can bus, asking how its interface is, and the way between its messages and our frames."""
 
 from __future__ import annotations
 
@@ -8,65 +8,131 @@ import os
 import socket
 import struct
 from collections.abc import Collection
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import can
 
 from drivers.can.frame import Frame, FrameId
 from drivers.can.settings import LARGEST_EXTENDED_ID, LARGEST_STANDARD_ID, CanSettings
+from drivers.virtual.can_network import NetworkBus, network
 
 # linux/sockios.h, linux/if.h
 _SIOCGIFFLAGS = 0x8913
 _IFF_UP = 0x1
+_IFF_RUNNING = 0x40
 _IFREQ = struct.Struct("16sh22x")
+
+# asm-generic/socket.h, linux/sock_diag.h. The other way to the kernel's losses, SO_RXQ_OVFL, adds control data
+# to each frame that python-can takes for a fault.
+_SO_MEMINFO = 55
+_MEMINFO = struct.Struct("=9I")
+_MEMINFO_DROPS = 8
+
+_NETWORK_STATISTICS = "/sys/class/net/{}/statistics/rx_packets"
+
+
+class InterfaceFault(OSError):
+    """A network interface cannot be used; `what` says why and `advice` what to do."""
+
+    def __init__(self, number: int, what: str, advice: str) -> None:
+        super().__init__(number, f"{what}: {advice}")
+        self.what = what
+        self.advice = advice
+
+
+@dataclass(slots=True, frozen=True)
+class InterfaceStatus:
+    """An interface that is there and up."""
+
+    index: int = 0  # another number means: deleted and made anew under the same name
+    is_running: bool = True  # False: the kernel has switched its carrier off, which CAN drivers do when bus-off
+    received: int | None = None  # frames since it is there, also those that a kernel filter holds back
 
 
 def open_bus(settings: CanSettings, ids: Collection[FrameId] | None) -> can.BusABC:
     """Open the interface; SocketCAN lets only `ids` through (None = all) and every error frame.
 
     Raises:
-        OSError: a SocketCAN interface is missing or down.
+        InterfaceFault: it is missing or down.
+        OSError: the bus cannot be opened.
         can.CanError: the bus cannot be opened.
     """
+    # A missing interface would leave a log line at every try, and one that is down opens but stays mute.
+    interface_status(settings)
+    if settings.interface == "virtual":
+        return NetworkBus(settings.channel)
     options: dict[str, Any] = {}
     if settings.interface == "socketcan":
-        # A missing interface would leave a log line at every try, and one that is down opens but stays mute.
-        require_interface_up(settings.channel)
         options = {"fd": True, "can_filters": None if ids is None else [_kernel_filter(id_) for id_ in ids]}
-    elif settings.interface == "udp_multicast":
-        # Hop limit 0: frames sent in a trial do not leave this computer.
+    else:
+        # Hop limit 0: frames sent in a trial do not leave this computer. No filters: python-can would apply
+        # them after reading, and its `recv(0)` then says "nothing there" for a frame that it dropped.
         options = {"port": settings.port, "hop_limit": 0}
-    # No filters for the others: python-can would apply them after reading, and its `recv(0)` then says
-    # "nothing there" for a frame that it dropped.
     return can.Bus(interface=settings.interface, channel=settings.channel, ignore_config=True, **options)
 
 
-def require_interface_up(name: str) -> None:
-    """Check a network interface.
+def interface_status(settings: CanSettings) -> InterfaceStatus:
+    """How the interface is; there is nothing to ask about a multicast group.
 
     Raises:
-        OSError: it is missing (ENODEV) or down (ENETDOWN), with a text that says what to do.
+        InterfaceFault: it is missing (ENODEV) or down (ENETDOWN).
     """
+    if settings.interface == "socketcan":
+        return _kernel_status(settings.channel)
+    if settings.interface == "virtual":
+        shared = network(settings.channel)
+        if not shared.exists:
+            raise _missing(errno.ENODEV, settings.channel)
+        if not shared.is_up:
+            raise _down(settings.channel)
+        return InterfaceStatus(shared.index, not shared.is_bus_off)
+    return InterfaceStatus()
+
+
+def kernel_drops(bus: can.BusABC) -> int:
+    """Frames that found the bus's receive buffer full since it was opened.
+
+    Raises:
+        OSError: the bus is no socket any more.
+    """
+    if isinstance(bus, NetworkBus):
+        return bus.lost
+    # The family does not matter for this question; a duplicate, so that closing it leaves the bus open.
+    with socket.fromfd(bus.fileno(), socket.AF_UNIX, socket.SOCK_DGRAM) as same_socket:
+        answer = same_socket.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, _MEMINFO.size)
+    drops: int = _MEMINFO.unpack(answer)[_MEMINFO_DROPS]
+    return drops
+
+
+def _kernel_status(name: str) -> InterfaceStatus:
     # A Unix socket will do for the question and passes a service's RestrictAddressFamilies=.
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as any_socket:
         try:
             answer = fcntl.ioctl(any_socket, _SIOCGIFFLAGS, _IFREQ.pack(os.fsencode(name)[:15], 0))
+            index = socket.if_nametoindex(name)
         except OSError as error:
-            raise OSError(
-                error.errno,
-                f"there is no network interface {name}: plug it in, create it or correct `channel`",
-            ) from error
-    if not _IFREQ.unpack(answer)[1] & _IFF_UP:
-        raise OSError(errno.ENETDOWN, f"network interface {name} is down: ip link set {name} up")
+            raise _missing(error.errno or errno.ENODEV, name) from error
+    flags = _IFREQ.unpack(answer)[1]
+    if not flags & _IFF_UP:
+        raise _down(name)
+    return InterfaceStatus(index, bool(flags & _IFF_RUNNING), _received_by(name))
 
 
-def file_descriptor(bus: can.BusABC) -> int | None:
-    """The bus's file descriptor, None for a bus without one (virtual)."""
+def _received_by(name: str) -> int | None:
     try:
-        fd = bus.fileno()
-    except NotImplementedError:
+        return int(Path(_NETWORK_STATISTICS.format(name)).read_text())
+    except (OSError, ValueError):  # a container without /sys
         return None
-    return fd if fd >= 0 else None
+
+
+def _missing(number: int, name: str) -> InterfaceFault:
+    return InterfaceFault(number, f"there is no network interface {name}", "plug it in, create it or correct `channel`")
+
+
+def _down(name: str) -> InterfaceFault:
+    return InterfaceFault(errno.ENETDOWN, f"network interface {name} is down", f"ip link set {name} up")
 
 
 def to_frame(message: can.Message, t_ns: int) -> Frame:

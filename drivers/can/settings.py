@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 PresetName = Literal["support_controller", "cia406", "j1939_proprietary_b"]
 Unit = Literal["mm", "m", "cm", "um"]
+ChecksumName = Literal["crc8_j1850", "crc8_autosar", "sum8", "xor8"]
 
 LARGEST_STANDARD_ID = 0x7FF
 LARGEST_EXTENDED_ID = 0x1FFFFFFF
@@ -28,7 +29,7 @@ class _Settings(BaseModel):
 class DisplacementSettings(_Settings):
     """Which frame carries a displacement, and when its value may be believed.
 
-    A preset fills in DBC file, message, signal and validity; each of them can be overridden.
+    A preset fills in DBC file, message, signal, validity, counter and checksum; each of them can be overridden.
     """
 
     preset: PresetName | None = Field(
@@ -69,8 +70,17 @@ class DisplacementSettings(_Settings):
         default=None, description="Signal of the same message that tells whether the displacement is valid."
     )
     valid_value: int | None = Field(
-        default=None, description="Value of `valid_signal` that means valid; 1 if not given."
+        default=None, description="Raw value of `valid_signal` that means valid; 1 if not given."
     )
+    counter_signal: str | None = Field(
+        default=None,
+        description="Signal of the same message that counts its frames; a frame that repeats the last number is "
+        "not believed.",
+    )
+    checksum_signal: str | None = Field(
+        default=None, description="Signal of the same message, one whole byte, with a checksum over all other bytes."
+    )
+    checksum: ChecksumName | None = Field(default=None, description="How `checksum_signal` is computed.")
     timeout_ms: float = Field(
         default=1000.0,
         gt=0,
@@ -101,6 +111,8 @@ class DisplacementSettings(_Settings):
             raise ValueError('`node_id` belongs to CANopen: delete it or set preset = "cia406"')
         if self.valid_value is not None and self.valid_signal is None:
             raise ValueError("`valid_value` needs `valid_signal`: name the signal or delete the value")
+        if (self.checksum_signal is None) != (self.checksum is None):
+            raise ValueError("`checksum_signal` and `checksum` belong together: add the missing one")
         if self.minimum_mm >= self.maximum_mm:
             raise ValueError("`minimum_mm` must be smaller than `maximum_mm`")
         return self

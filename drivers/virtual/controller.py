@@ -22,6 +22,7 @@ LABORATORY_SENSOR = DisplacementSettings(
     preset="support_controller", message="LaboratorySensor", signal="reference_stroke"
 )
 
+_LARGEST_CLASSIC_FRAME = 8  # bytes; more make it CAN FD
 _LEVER_M = 0.9  # distance of the sensor's anchor from the retracted piston, along the push
 _FULL_STROKE_M = 0.5
 _NO_MAGNET = (0x5000, 0x01)  # CiA 301: device hardware, generic error
@@ -179,11 +180,13 @@ class _FrameWriter:
     def __init__(self, source: DisplacementSignal) -> None:
         self._source = source
         self._raw = 0
-        self._counter = 0
+        self._sent = 0
         self._is_ill = False
         signal = source.signal
         self._lowest = -(1 << signal.length - 1) if signal.is_signed else 0
         self._highest = self._lowest + (1 << signal.length) - 1
+        if source.lowest_code is not None:
+            self._highest = source.lowest_code - 1
 
     def frames(self, observations: Iterable[Observation]) -> Iterator[Frame]:
         """The frames of each observation, an emergency first where the sensor falls ill or recovers."""
@@ -207,11 +210,17 @@ class _FrameWriter:
         values[source.signal.name] = self._raw
         if source.valid_signal is not None:
             values[source.valid_signal.name] = source.valid_value ^ int(is_ill)
-        if "counter" in values:
-            values["counter"] = self._counter
-            self._counter = (self._counter + 1) % 16
-        data = source.message.encode(values, scaling=False, strict=False)
-        return Frame(t_ns, source.frame_id.arbitration_id, data, is_extended=source.frame_id.is_extended)
+        if source.counter is not None:
+            values[source.counter.name] = source.counter.lowest + self._sent % source.counter.numbers
+        self._sent += 1
+        data = bytearray(source.message.encode(values, scaling=False, strict=False))
+        if source.checksum is not None:
+            data[source.checksum.place] = source.checksum.of(bytes(data))
+        is_fd = len(data) > _LARGEST_CLASSIC_FRAME
+        if is_fd:
+            data.extend(bytes(source.padded_length - len(data)))
+        frame_id = source.frame_id
+        return Frame(t_ns, frame_id.arbitration_id, bytes(data), is_extended=frame_id.is_extended, is_fd=is_fd)
 
     def _emergency(self, t_ns: int, code: int, register: int) -> Frame:
         assert self._source.node_id is not None

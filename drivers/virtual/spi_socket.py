@@ -1,9 +1,10 @@
 """The virtual sensor for another process: SPI frames and data-ready edges over a Unix socket.
 
 Every message has a length (2 bytes, big-endian) in front. A connection opens with a greeting that says
-what it carries: frames (request: speed [Hz], 4 bytes, then the data; answer: as many bytes) or edges of one
-pin (time [ns] and lost edges, 8 bytes each, sent as they happen). Times are CLOCK_MONOTONIC, which all
-processes share.
+what it carries: frames (request: speed [Hz], 4 bytes, time of the request [ns], 8 bytes, then the data; answer:
+as many bytes, none if the port failed) or edges of one pin (time [ns] and lost edges, 8 bytes each, sent as
+they happen). Times are CLOCK_MONOTONIC, which all processes share: the part answers as of the request, so that
+the way from process to process, which no wire has, tears no burst.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import stat
 import struct
 import threading
 import time
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 from drivers.data_ready import DataReadyError, Edge
@@ -24,11 +26,11 @@ from drivers.spi import SpiError
 from estimation.records import TimeKind
 
 if TYPE_CHECKING:
-    from drivers.virtual.adis16448 import VirtualAdis16448
+    from drivers.virtual.part import VirtualPart
 
 _LENGTH = struct.Struct(">H")
 _GREETING = struct.Struct(">cBB")  # kind, pin, active high
-_SPEED = struct.Struct(">I")
+_REQUEST = struct.Struct(">Iq")  # speed, time
 _EDGE = struct.Struct(">qq")
 _FRAMES, _EDGES = b"F", b"E"
 _LONGEST_FRAME = 4096  # bytes, as the kernel's spidev allows by default
@@ -57,15 +59,26 @@ def _send(connection: socket.socket, message: bytes) -> None:
     connection.sendall(_LENGTH.pack(len(message)) + message)
 
 
+@dataclass(slots=True)
+class Served:
+    """What clients got so far."""
+
+    frames: int = 0
+    failed_frames: int = 0  # the port failed, as a fault script says
+    edges: int = 0  # told, those that a late listener counts as missed included
+
+
 class SpiSocketServer:
     """Serves one virtual part at `path`, a thread per connection, from `start` to `close`.
 
     Raises SpiError if the path cannot be served.
     """
 
-    def __init__(self, path: str, twin: VirtualAdis16448) -> None:
+    def __init__(self, path: str, part: VirtualPart) -> None:
+        self.served = Served()
         self._path = path
-        self._twin = twin
+        self._part = part
+        self._counting = threading.Lock()
         self._bus = threading.Lock()  # one SPI port, however many clients
         self._stopping = threading.Event()
         self._connections: set[socket.socket] = set()
@@ -132,20 +145,27 @@ class SpiSocketServer:
     def _serve_frames(self, connection: socket.socket) -> None:
         while not self._stopping.is_set():
             request = _receive(connection)
-            (speed_hz,) = _SPEED.unpack_from(request)
-            data = request[_SPEED.size :]
+            speed_hz, asked_ns = _REQUEST.unpack_from(request)
+            data = request[_REQUEST.size :]
             if not speed_hz or not 0 < len(data) <= _LONGEST_FRAME:
                 raise ValueError(f"a frame of {len(data)} bytes at {speed_hz} Hz")
             with self._bus:
-                answer = self._twin.transfer(data, speed_hz)
+                self.served.frames += 1
+                try:
+                    answer = self._part.transfer(data, speed_hz, asked_ns)
+                except SpiError:
+                    self.served.failed_frames += 1
+                    answer = b""
             _send(connection, answer)
 
     def _serve_edges(self, connection: socket.socket, pin: Literal[1, 2], active_high: bool) -> None:
-        line = self._twin.data_ready(pin=pin, active_high=active_high)
+        line = self._part.data_ready(pin=pin, active_high=active_high)
         while not self._stopping.is_set():
             edge = line.wait(_POLL_S)
             if edge is not None:
                 _send(connection, _EDGE.pack(edge.t_ns, edge.missed))
+                with self._counting:
+                    self.served.edges += 1 + edge.missed
             elif select.select([connection], [], [], 0)[0] and not connection.recv(1):
                 return  # the client left while the line was silent
 
@@ -190,11 +210,14 @@ class SocketTransport:
     def transfer(self, data: bytes, speed_hz: int) -> bytes:
         """Exchange one frame."""
         try:
-            _send(self._connection, _SPEED.pack(speed_hz) + data)
-            return _receive(self._connection)
+            _send(self._connection, _REQUEST.pack(speed_hz, time.monotonic_ns()) + data)
+            answer = _receive(self._connection)
         except (OSError, EOFError) as error:
             self.close()  # a late answer must not be taken for that of the next frame
             raise SpiError(f"the virtual sensor at {self._path} is gone: start `ramstroke sim` again") from error
+        if not answer:
+            raise SpiError(f"the SPI port of the virtual sensor at {self._path} failed, as its fault script says")
+        return answer
 
     def close(self) -> None:
         """Hang up."""

@@ -57,8 +57,11 @@ def test_there_are_recordings() -> None:
 
 @pytest.mark.parametrize("recording", RECORDINGS, ids=lambda path: path.stem)
 def test_outcome_is_the_stored_one(recording: Path, request: pytest.FixtureRequest) -> None:
-    stored = recording.with_suffix(".csv")
-    outcome = _outcome(recording)
+    assert_same(_outcome(recording), recording.with_suffix(".csv"), request)
+
+
+def assert_same(outcome: str, stored: Path, request: pytest.FixtureRequest) -> None:
+    """Compare line by line with the stored outcome, or store it if asked to."""
     if request.config.getoption("--rebase"):
         stored.write_text(outcome)
     expected, got = stored.read_text().splitlines(), outcome.splitlines()

@@ -10,7 +10,6 @@ from collections.abc import AsyncIterator
 from math import hypot, sqrt
 from pathlib import Path
 
-import can
 import pytest
 
 from daemon.application import Application
@@ -19,6 +18,7 @@ from daemon.state_file import SavedStroke, load, save
 from daemon.virtual import virtual_part, virtual_support
 from drivers.can.interface import to_message
 from drivers.clock import SystemClock
+from drivers.virtual.can_network import NetworkBus
 from drivers.virtual.controller import VirtualController
 from drivers.virtual.spi_socket import SpiSocketServer
 from tests.daemon.application_kit import Viewer, run, settings_in
@@ -44,7 +44,7 @@ async def controller_at_300(settings: Settings) -> AsyncIterator[None]:
         noise = random.Random(5)
         readings = ((number, STROKE_MM / 1e3 + noise.gauss(0, 0.003)) for number in range(1_000_000))
         frames = VirtualController(readings, settings.can.displacement)
-        with can.Bus(interface="virtual", channel=settings.can.channel) as bus:
+        with NetworkBus(settings.can.channel) as bus:
             for number in range(1_000_000):
                 for frame in frames.due(number):
                     bus.send(to_message(frame))

@@ -25,7 +25,7 @@ from daemon.recording import topics
 from daemon.recording.reader import Recording
 from daemon.recording.topics import Health
 from daemon.replay import replay
-from drivers.can.estimate_frame import crc8_j1850
+from drivers.can.checksums import crc8_j1850
 from drivers.can.frame import Frame
 from drivers.can.presets import DBC_FOLDER
 
@@ -110,12 +110,13 @@ def test_samples_frames_and_estimates_go_between_two_programs(
         status: dict[str, Any] = json.loads(capsys.readouterr().out)
         said = ended(run, signal.SIGTERM)
         ended(sim, signal.SIGINT)
-    assert "inertial sensor running" in said
+    assert "inertial sensor: serial 1234 is running" in said
     assert not (config.parent / "imu").exists()
     assert not (config.parent / "live").exists()
 
-    assert status["imu"]["state"] == status["can"]["state"] == "running"
-    assert status["recorder"]["state"] == "recording"
+    # A computer that is busy with other tests may miss samples.
+    assert status["imu"]["state"] in ("ok", "ill")
+    assert status["can"]["state"] == status["recorder"]["state"] == status["displacement"]["state"] == "ok"
     assert status["estimate"]["can_state"] in ("ok", "late")
     counters = status["imu"]
     record_property("missed share", counters["missed"] / (counters["missed"] + counters["samples"]))

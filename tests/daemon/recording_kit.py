@@ -18,6 +18,7 @@ from daemon.recording.metadata import LEARNED, SNAPSHOT
 from daemon.recording.topics import EVENTS, IMU_RAW, TOPICS, Health, LogLine, Recorded, RecordedDisplacement
 from daemon.recording.writer import OWN_CHANNELS, Container
 from drivers.adis16448.burst import Burst, Fault
+from drivers.adis16448.identity import Identity
 from drivers.can.frame import Frame
 from estimation.records import (
     CanState,
@@ -27,6 +28,7 @@ from estimation.records import (
     ImuSample,
     Move,
     MoveKind,
+    ReadingFault,
     Segment,
     Tick,
     Tier,
@@ -57,10 +59,11 @@ ONE_OF_EACH: dict[str, Recorded] = {
     topics.IMU_RAW: Burst(
         1, TimeKind.READ, (0x8001, 0xFFFF, 2, 3, 4, 5, 0x8000, 7, 8, 9, 50_000, 0x0FFF), 0xBEEF, Fault.CRC
     ),
+    topics.IMU_IDENTITY: Identity(13, 16448, 0x12345678, 0xABC),
     topics.IMU_SAMPLE: ImuSample(2, (0.5, -0.25, 3.0), (9.75, 0.0, -1.5), 21.5, TimeKind.IMPORTED),
     topics.CAN_RX: Frame(3, 0x1ABCDEF0, b"\x01\x02\x03", is_extended=True),
     topics.CAN_TX: Frame(4, 0x123, bytes(range(64)), is_fd=True),
-    topics.OBSERVED: RecordedDisplacement(Displacement(5, 0.25, valid=False), decoded=True),
+    topics.OBSERVED: RecordedDisplacement(Displacement(5, 0.25, ReadingFault.CHECKSUM), decoded=True),
     topics.REFERENCE: RecordedDisplacement(Displacement(6, 0.375, is_reference=True), decoded=False),
     topics.TICK: Tick(7),
     topics.PROVISIONAL: ESTIMATE,

@@ -12,13 +12,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import can
 import pytest
 
-from daemon import application, state_file
+from daemon import application, state_file, watchdog
 from daemon.application import Application
 from daemon.cli import main
-from daemon.imu_link import ImuLink
 from daemon.live_client import first_line
 from daemon.notify import Notifier
 from daemon.recording import topics
@@ -29,8 +27,11 @@ from daemon.settings import Settings
 from drivers.can.estimate_frame import decode_estimate
 from drivers.can.frame import Frame
 from drivers.can.interface import to_frame
+from drivers.virtual.can_network import NetworkBus
 from estimation.records import Segment
 from tests.daemon.application_kit import PATIENCE_S, Viewer, forever, run, settings_in
+
+WORKING = ("ok", "ill")
 
 pytestmark = pytest.mark.usefixtures("unsettled_process")
 
@@ -76,7 +77,7 @@ def test_a_run_measures_records_publishes_and_tells(
     printed: list[str] = []
 
     async def scene() -> None:
-        with can.Bus(interface="virtual", channel=settings.can.channel) as third:
+        with NetworkBus(settings.can.channel) as third:
             await viewer.read_until(lambda line: line["type"] == "status" and line["estimate"] is not None)
             for _ in range(2):
                 await viewer.read_until(lambda line: line["type"] == "status")
@@ -95,21 +96,25 @@ def test_a_run_measures_records_publishes_and_tells(
     (greeting,) = greetings
     assert greeting["type"] == "hello"
     assert greeting.keys() >= {"version", "stroke_mm", "t_s", "imu", "can", "recorder", "live", "estimate"}
-    assert greeting["imu"]["state"] == greeting["can"]["state"] == "running"
+    # A computer that is busy with other tests may miss samples.
+    assert (greeting["imu"]["state"] in WORKING, greeting["can"]["state"]) == (True, "ok")
     assert greeting["imu"]["starts"] == 1
     assert greeting["imu"]["samples"] > 500
     assert greeting["can"]["received"] > 20
     assert greeting["can"]["sent"] > 10
-    assert [source.keys() for source in greeting["can"]["sources"]] == [{"malformed", "out_of_range", "invalid"}] * 2
-    assert greeting["recorder"]["state"] == "recording"
+    assert greeting["displacement"]["frames"] > 20
+    assert greeting["displacement"]["state"] == greeting["recorder"]["state"] == "ok"
+    assert greeting["loop"].keys() >= {"late_ms", "culprit", "culprit_ms"}
+    for part in ("imu", "can", "displacement", "estimator", "recorder", "loop"):
+        assert greeting[part].keys() >= {"state", "since_s", "what", "advice"}
+        assert greeting[part]["since_s"] <= greeting["t_s"]
     assert greeting["recorder"]["messages"] > 500
     assert greeting["live"] == {"viewers": 1, "dropped": 0, "refused": 0}  # beside the asker
-    assert greeting["loop_late_ms"] >= 0
     assert abs(greeting["estimate"]["displacement_mm"]) < 4 * greeting["estimate"]["sigma_mm"] < 40
     assert (greeting["estimate"]["segment"], greeting["estimate"]["can_state"]) == ("ZUPT", "ok")
     assert len(viewer.of("status")) >= 3
     assert len(viewer.of("estimate")) > 5 * len(viewer.of("status"))
-    for word in ("stroke", "mm (1σ)", "imu", "running", "recorder", "recording", "viewers"):
+    for word in ("stroke", "mm (1σ)", "imu", "displacement", "recorder", "ok", "viewers"):
         assert word in printed[0]
 
     # recording
@@ -117,7 +122,7 @@ def test_a_run_measures_records_publishes_and_tells(
     assert replay(path).identical is True
     healths = [json.loads(r.json) for r in messages[topics.HEALTH] if isinstance(r, Health)]
     assert len(healths) >= 3
-    assert all(health["imu"]["state"] == "running" for health in healths[1:])
+    assert all(health["imu"]["state"] in WORKING for health in healths[1:])
     assert any(isinstance(r, LogLine) and r.text.endswith(" runs") for r in messages[topics.LOG])
     assert topics.TICK not in messages  # the part was never silent, not even while it started
     assert topics.EVENTS not in messages
@@ -144,7 +149,7 @@ def test_a_run_measures_records_publishes_and_tells(
     assert said[-1] == "STOPPING=1"
     assert said.count("STOPPING=1") == said.count("READY=1") == 1
     assert said.count("WATCHDOG=1") >= 2
-    assert any("mm, ZUPT; imu running; can running; recorder recording" in word for word in said)
+    assert any("mm, ZUPT" in word for word in said)
 
 
 def test_the_watchdog_is_fed_while_a_missing_sensor_is_retried(
@@ -164,41 +169,42 @@ def test_the_watchdog_is_fed_while_a_missing_sensor_is_retried(
     run(Application(settings, Notifier(str(short_path / "notify"))), scene)
 
 
-def test_the_watchdog_is_not_fed_by_blind_estimates(
+def test_the_watchdog_is_fed_while_devices_are_missing_but_not_once_a_part_hangs(
     short_path: Path, systemd: socket.socket, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The sensor's thread hangs and no frame comes: that estimates go on is no reason to call the program alive."""
+    """A sensor that is switched off is no reason to end the program; a thread that stands still is one."""
     monkeypatch.setattr(application, "START_UP_S", 0.3)
-    monkeypatch.setattr(application, "HEALTH_S", 0.4)
-    monkeypatch.setattr(ImuLink, "_acquire", lambda self: self._stopping.wait())
+    monkeypatch.setattr(application, "HEALTH_S", 0.1)
+    monkeypatch.setattr(watchdog, "PATIENCE_S", 1.6)  # the CAN task counts once a second
     settings = settings_in(short_path, imu={"transport": "socket", "socket_path": str(short_path / "nobody")})
+    hanging = Application(settings, Notifier(str(short_path / "notify")))
     viewer = Viewer(settings)
-    before: list[str] = []
+    said: list[list[str]] = []
+
+    async def statuses(count: int) -> None:
+        for _ in range(count):
+            await viewer.read_until(lambda line: line["type"] == "status")
 
     async def scene() -> None:
-        with can.Bus(interface="virtual", channel=settings.can.channel) as controller:
+        with NetworkBus(settings.can.channel):
             await viewer.read_until(lambda line: line["type"] == "status" and line["estimate"] is not None)
-            for _ in range(3):
-                await viewer.read_until(lambda line: line["type"] == "status")
-            words(systemd)  # the one attempt itself was a sign of life
-            for _ in range(3):
-                await viewer.read_until(lambda line: line["type"] == "status")
-            before.extend(words(systemd))
-            frames = 0
-            while "WATCHDOG=1" not in words(systemd):
-                message = can.Message(arbitration_id=0x311, data=bytes(8), is_extended_id=False)
-                controller.send(message)
-                frames += 1
-                await asyncio.sleep(0.02)
-            assert frames > 1
+            words(systemd)
+            await statuses(5)
+            said.append(words(systemd))
+            monkeypatch.setattr(type(hanging._imu), "progress", 7)
+            await statuses(22)
+            words(systemd)
+            await statuses(5)
+            said.append(words(systemd))
 
-    run(Application(settings, Notifier(str(short_path / "notify"))), scene)
-    assert sum(word.startswith("STATUS=") for word in before) >= 3
-    assert "WATCHDOG=1" not in before
-    assert viewer.of("estimate")
+    run(hanging, scene)
+    fed, starved = said
+    assert "WATCHDOG=1" in fed
+    assert any("imu waiting: no virtual sensor answers" in word for word in fed)
+    assert "WATCHDOG=1" not in starved
+    assert any(word.startswith("STATUS=") and "imu has stood still for" in word for word in starved)
     path, messages = recorded(settings)
     assert len(messages[topics.TICK]) > 5
-    assert len(messages[topics.EVENTS]) == 1
     assert replay(path).identical is True
 
 
@@ -315,8 +321,7 @@ def test_without_recorder_and_can_the_stroke_is_estimated_all_the_same(short_pat
         statuses.append(await viewer.read_until(lambda line: line["type"] == "status"))
 
     run(Application(settings), scene)
-    assert statuses[0]["recorder"] == {"state": "disabled"}
-    assert statuses[0]["can"] == {"state": "disabled"}
+    assert [statuses[0][part]["state"] for part in ("recorder", "can", "displacement")] == ["off"] * 3
     assert statuses[0]["estimate"]["can_state"] == "absent"
     assert not settings.recording.directory.exists()
 
@@ -336,7 +341,8 @@ def test_a_disk_that_refuses_stops_neither_estimates_nor_the_end(
         await viewer.read_until(
             lambda line: (
                 line["type"] == "status"
-                and line["recorder"]["state"].startswith("waiting: cannot write to")
+                and line["recorder"]["state"] == "waiting"
+                and "cannot write to" in line["recorder"]["what"]
                 and line["recorder"]["dropped_no_disk"] > 0
             )
         )

@@ -123,7 +123,7 @@ WRONG_FILES: dict[str, tuple[str, str]] = {
     "signal that is not in the DBC file": (
         '[can.displacement]\nsignal = "ram"\n',
         ':2: [can.displacement] Message "SupportStatus" has no signal "ram" (option `signal`); '
-        "it has counter, ram_stroke, ram_stroke_valid.",
+        "it has checksum, counter, ram_stroke, ram_stroke_valid.",
     ),
     "reference signal that is not in the DBC file": (
         '[can.displacement]\n[can.reference]\nmessage = "LaboratorySensor"\nsignal = "ram"\n',

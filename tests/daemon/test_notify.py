@@ -63,3 +63,13 @@ def test_a_status_of_several_lines_cannot_say_anything_else(short_path: Path) ->
         systemd.bind(str(short_path / "notify"))
         Notifier(str(short_path / "notify")).status("waiting: first\nWATCHDOG=1\n")
         assert received(systemd) == ["STATUS=waiting: first WATCHDOG=1"]
+
+
+def test_a_listener_that_does_not_read_holds_nobody_up(short_path: Path) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as channel:
+        channel.bind(str(short_path / "notify"))
+        notifier = Notifier(str(short_path / "notify"))
+        for number in range(10_000):
+            notifier.status(f"word {number}")
+        channel.setblocking(False)
+        assert channel.recv(100) == b"STATUS=word 0"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 import zlib
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -278,6 +279,27 @@ def test_our_topics_are_read_from_a_file_that_another_tool_put_together(tmp_path
     assert sorted(found) == sorted(
         [(topics.TICK, A_TICK), ("/lidar", b"\0"), (topics.EVENTS, b""), (topics.MOVES, b"")]
     )
+
+
+@pytest.mark.parametrize(
+    ("text", "readable"),
+    [
+        (b"# older words\nuint8 OLD=7\nint64 t_ns", True),
+        (b"int64 t_ns\nint64 t_ns", False),
+        (b"int64 time_ns", False),
+        (b"uint64 t_ns", False),
+        (b"int64", False),
+        (b"\xff\xfe", False),
+    ],
+)
+def test_another_version_may_word_its_schema_otherwise_but_not_change_a_field(
+    tmp_path: Path, text: bytes, readable: bool
+) -> None:
+    path = tmp_path / "older.mcap"
+    event = topics.TOPICS[topics.EVENTS].encode(Event(5, "as ever"))
+    channels = [OWN_CHANNELS[topics.EVENTS], replace(TICKS, schema_text=text)]
+    foreign(path, channels, [event, A_TICK], CompressionType.NONE)
+    assert read_all(path)[1] == [(topics.EVENTS, Event(5, "as ever")), (topics.TICK, Tick(5))][: 1 + readable]
 
 
 def test_messages_outside_of_chunks_are_read(tmp_path: Path) -> None:

@@ -20,6 +20,7 @@ from daemon.recording.reader import Recording
 from daemon.recording.topics import TOPICS, UNDECODABLE, Health, LogLine, Recorded, RecordedDisplacement
 from daemon.recording.writer import RecordingWriter
 from drivers.adis16448.burst import Burst, Fault
+from drivers.adis16448.identity import Identity
 from drivers.can.frame import Frame
 from estimation.records import (
     CanState,
@@ -29,6 +30,7 @@ from estimation.records import (
     ImuSample,
     Move,
     MoveKind,
+    ReadingFault,
     Segment,
     Tick,
     Tier,
@@ -57,7 +59,7 @@ estimates = st.builds(
 
 
 def displacements(is_reference: bool) -> st.SearchStrategy[RecordedDisplacement]:
-    readings = st.builds(Displacement, times, numbers, flags, st.just(is_reference))
+    readings = st.builds(Displacement, times, numbers, st.sampled_from(ReadingFault), st.just(is_reference))
     return st.builds(RecordedDisplacement, readings, flags)
 
 
@@ -70,6 +72,7 @@ STRATEGIES: dict[str, st.SearchStrategy[Any]] = {
         st.none() | words16,
         st.sampled_from(Fault),
     ),
+    topics.IMU_IDENTITY: st.builds(Identity, times, words16, words32, words16),
     topics.IMU_SAMPLE: st.builds(ImuSample, times, vectors, vectors, numbers, st.sampled_from(TimeKind)),
     topics.CAN_RX: frames,
     topics.CAN_TX: frames,
@@ -169,7 +172,8 @@ def test_an_independent_decoder_reads_moves_samples_and_displacements() -> None:
     sample = independent(topics.IMU_SAMPLE, ONE_OF_EACH[topics.IMU_SAMPLE])
     assert (sample.gyro_y, sample.accel_z, sample.temperature, sample.time_kind) == (-0.25, -1.5, 21.5, 2)
     reading = independent(topics.OBSERVED, ONE_OF_EACH[topics.OBSERVED])
-    assert (reading.value, reading.valid, reading.decoded) == (0.25, False, True)
+    assert (reading.value, reading.decoded) == (0.25, True)
+    assert f"FAULT_CHECKSUM={reading.fault}\n" in schemas.DISPLACEMENT.text
 
 
 def test_a_whole_file_is_read_by_the_official_reader_and_by_ours_in_the_order_written(tmp_path: Path) -> None:
@@ -182,7 +186,7 @@ def test_a_whole_file_is_read_by_the_official_reader_and_by_ours_in_the_order_wr
         reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
         decoded = list(reader.iter_decoded_messages(log_time_order=False))
         assert [item.channel.topic for item in decoded] == list(ONE_OF_EACH) * 3
-        assert [item.message.sequence for item in decoded] == [0] * 13 + [1] * 13 + [2] * 13
+        assert [item.message.sequence for item in decoded] == [0] * 14 + [1] * 14 + [2] * 14
         for item in decoded:
             expected = TOPICS[item.channel.topic].time_ns(ONE_OF_EACH[item.channel.topic])
             assert item.message.log_time == item.message.publish_time == expected
@@ -210,6 +214,12 @@ def test_an_enum_code_that_nobody_gave_out_is_refused(topic: str) -> None:
     good = TOPICS[topic].encode(ONE_OF_EACH[topic])
     with pytest.raises(LookupError):
         TOPICS[topic].decode(good[:-1] + b"\xff")
+
+
+def test_a_fault_of_a_reading_that_nobody_gave_out_is_refused() -> None:
+    good = TOPICS[topics.OBSERVED].encode(ONE_OF_EACH[topics.OBSERVED])
+    with pytest.raises(LookupError):
+        TOPICS[topics.OBSERVED].decode(good[:-2] + b"\xff\x01")
 
 
 def test_a_frame_longer_than_any_bus_carries_is_refused() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
@@ -17,9 +18,11 @@ from daemon.replay import settings_of
 from daemon.settings import Settings
 from daemon.stream import INPUTS, Stream
 from drivers.adis16448.burst import Burst, Fault
+from drivers.adis16448.identity import Identity
 from drivers.can.frame import Frame
+from drivers.virtual.controller import VirtualController
 from estimation.pipeline import Start
-from estimation.records import Displacement, Event, ImuSample, Tick, TimeKind
+from estimation.records import Displacement, Event, ImuSample, ReadingFault, Tick, TimeKind
 from tests.conftest import DemoRun
 
 REST = ImuSample(0, (0.0, 0.0, 0.0), (0.0, 0.0, 9.8))
@@ -186,29 +189,56 @@ CIA406 = Settings.model_validate({"can": {"displacement": {"preset": "cia406"}}}
 EMERGENCY = Frame(1_000, 0x80 + 127, bytes([0x00, 0x50, 0x01, 0, 0, 0, 0, 0]))
 
 
+def faults(sink: Sink) -> list[ReadingFault]:
+    """Of the readings that came out."""
+    return [r.reading.fault for _, r in sink.records if isinstance(r, RecordedDisplacement)]
+
+
 def test_an_emergency_of_the_sensor_survives_a_snapshot() -> None:
     before = Stream(CIA406, Sink())
     before.take(topics.CAN_RX, EMERGENCY)
     after = Stream(CIA406, sink := Sink())
     after.restore(before.snapshot())
     after.take(topics.CAN_RX, Frame(2_000, 0x180 + 127, bytes(8)))
-    readings = [r for t, r in sink.records if t == topics.OBSERVED]
-    assert [isinstance(r, RecordedDisplacement) and r.reading.valid for r in readings] == [False]
+    assert faults(sink) == [ReadingFault.INVALID]
+
+
+def test_a_frozen_counter_is_noticed_across_a_snapshot() -> None:
+    frame = VirtualController([(1_000, 0.1)]).due(1_000)[0]
+    before = Stream(Settings(), Sink())
+    before.take(topics.CAN_RX, frame)
+    after = Stream(Settings(), sink := Sink())
+    after.restore(before.snapshot())
+    after.take(topics.CAN_RX, replace(frame, t_ns=100_000_000))
+    assert faults(sink) == [ReadingFault.REPEATED]
+
+
+def snapshot_with(**head: object) -> bytes:
+    """A snapshot of a stream with one decoder, with other things in its head."""
+    mine, _, state = Stream(CIA406, Sink()).snapshot().partition(b"\n")
+    return json.dumps(json.loads(mine) | head).encode() + b"\n" + state
+
+
+def test_the_snapshot_that_the_foreign_ones_are_made_of_is_accepted() -> None:
+    Stream(CIA406, Sink()).restore(snapshot_with())
 
 
 FOREIGN_SNAPSHOTS = {
     "empty": b"",
     "no JSON": b"\x00\xff",
-    "half": b'{"emergencies": [null]}\n{"settled"',
-    "no emergencies": b"{}\n{}",
+    "half": snapshot_with()[:-10],
+    "no decoders": b"{}\n{}",
     "a list": b"[]\n{}",
     "a number": b"7\n{}",
-    "emergencies of another kind": b'{"emergencies": 3}\n{}',
-    "too many emergencies": b'{"emergencies": [null, null, null]}\n{}',
-    "emergency in words": b'{"emergencies": ["ill"]}\n{}',
-    "emergency in a list": b'{"emergencies": [[]]}\n{}',
+    "decoders of another kind": snapshot_with(decoders=3),
+    "too many decoders": snapshot_with(decoders=[{}, {}, {}]),
+    "an empty decoder": snapshot_with(decoders=[{}]),
+    "a decoder in words": snapshot_with(decoders=["ill"]),
+    "a decoder in a list": snapshot_with(decoders=[[]]),
+    "an identity in words": snapshot_with(identity="mine"),
+    "half an identity": snapshot_with(identity={"t_ns": 7}),
     "deeply nested": b"[" * 100_000 + b"\n{}",
-    "state of another kind": b'{"emergencies": [null]}\n[]',
+    "state of another kind": snapshot_with().partition(b"\n")[0] + b"\n[]",
 }
 
 
@@ -218,9 +248,10 @@ def test_a_foreign_snapshot_is_refused(what: str) -> None:
         Stream(CIA406, Sink()).restore(FOREIGN_SNAPSHOTS[what])
 
 
-def test_a_snapshot_is_json_a_line_each_for_decoders_and_pipeline() -> None:
-    head, state = Stream(CIA406, Sink()).snapshot().split(b"\n")
-    assert json.loads(head) == {"emergencies": [None]}
+def test_a_snapshot_is_json_a_line_each_for_devices_and_pipeline() -> None:
+    stream = Stream(CIA406, Sink())
+    head, state = stream.snapshot().split(b"\n")
+    assert json.loads(head) == {"decoders": [stream.decoders[0].remembered()], "identity": None}
     assert isinstance(json.loads(state), dict)
 
 
@@ -233,7 +264,7 @@ def test_no_displacement_whatever_stops_the_stream_or_is_believed(value: float) 
     for number in range(1640):
         t_ns = number * 1_220_703
         if number % 50 == 0:
-            reading = Displacement(t_ns, value, valid=number % 100 == 0)
+            reading = Displacement(t_ns, value, ReadingFault.NONE if number % 100 == 0 else ReadingFault.INVALID)
             stream.take(topics.OBSERVED, RecordedDisplacement(reading, decoded=False))
         stream.take(topics.IMU_SAMPLE, ImuSample(t_ns, REST.gyro, REST.accel))
     stream.finish()
@@ -263,6 +294,7 @@ def test_the_topics_that_a_replay_feeds_are_those_that_the_stream_takes(demo_run
     sink = Sink()
     stream = Stream(Settings(), sink)
     one_of_each: dict[str, Recorded] = {
+        topics.IMU_IDENTITY: Identity(0, 16448, 1, 2),
         topics.IMU_RAW: Burst(0, TimeKind.EDGE, (0,) * 12, None),
         topics.IMU_SAMPLE: REST,
         topics.CAN_RX: Frame(0, 0x7FF, b""),

@@ -9,7 +9,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 GUIDE = ROOT / "docs" / "troubleshooting.md"
-OF_THE_SYSTEM = {"No such file or directory", "Permission denied", "Connection refused", "watchdog"}
+OF_THE_SYSTEM = {"No such file or directory", "Permission denied", "Connection refused"}
 QUOTE = re.compile(r"`([^`]+)`")
 
 
@@ -28,7 +28,7 @@ def _fragments_quoted() -> Iterator[str]:
         first = line.split(" | ")[0].removeprefix("| ")
         for quote in QUOTE.findall(first):
             for fragment in quote.split("…"):
-                fragment = fragment.removeprefix("waiting: ").strip(" :;()?")
+                fragment = fragment.strip(" :;()?")
                 if fragment and fragment not in OF_THE_SYSTEM and not fragment.startswith("--"):
                     yield fragment
 
@@ -38,7 +38,7 @@ def _texts_of_the_program() -> Iterator[str]:
         for path in sorted((ROOT / folder).rglob("*.py")):
             for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
                 if isinstance(node, ast.Constant) and isinstance(node.value, str):
-                    yield node.value
+                    yield from (node.value, node.value.replace("_", " "))
                 elif isinstance(node, ast.Name | ast.Attribute):
                     # Counters are shown under their names, underscores as spaces; faults in small letters.
                     name = node.id if isinstance(node, ast.Name) else node.attr

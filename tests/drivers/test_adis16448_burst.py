@@ -14,15 +14,20 @@ from drivers.adis16448.burst import (
     BurstDecoder,
     Fault,
     RepetitionWatch,
+    classify,
     failed,
     parse,
 )
 from drivers.adis16448.crc import CRC_TABLE, burst_crc
+from drivers.adis16448.registers import DIAG_OVERRANGE
 from estimation.records import TimeKind
 
 about: Any = pytest.approx
 
 PUBLISHED = (0x000F, 0xFFF8, 0x000A, 0xFE41, 0xFFCC, 0x0456, 0x0227, 0xFDA3, 0xF412, 0xC13C, 0xFF6C)
+# Counts within every range: x gyro to z accelerometer within +-25 000, the others any.
+COUNTS = st.integers(-25_000, 25_000).map(lambda count: count & 0xFFFF)
+MEASURABLE = st.tuples(*[COUNTS] * 6, *[st.integers(0, 0xFFFF)] * 5).map(list)
 WORDS = st.lists(st.integers(0, 0xFFFF), min_size=11, max_size=11)
 
 
@@ -70,14 +75,14 @@ def test_the_checksum_sees_every_single_bit_error(words: list[int], bit: int) ->
 
 
 @settings(derandomize=True, deadline=None)
-@given(st.integers(0, 0xFFFF), WORDS, st.integers(0, 0xFFFF))
+@given(st.integers(0, 0xFFFF).map(lambda flags: flags & ~DIAG_OVERRANGE), MEASURABLE, st.integers(0, 0xFFFF))
 def test_random_words_survive_a_frame_with_checksum(first: int, words: list[int], junk: int) -> None:
     frame = struct.pack(">14H", junk, first, *words, bitwise_crc(words))
     assert parse(frame, 5, TimeKind.READ) == Burst(5, TimeKind.READ, (first, *words), bitwise_crc(words), Fault.NONE)
 
 
 @settings(derandomize=True, deadline=None)
-@given(WORDS.filter(any), st.integers(0, 0xFFFF))
+@given(MEASURABLE.filter(any), st.integers(0, 0xFFFF))
 def test_random_words_survive_a_frame_without_checksum(words: list[int], junk: int) -> None:
     frame = struct.pack(">13H", junk, 0x0080, *words)
     assert parse(frame, 7, TimeKind.EDGE) == Burst(7, TimeKind.EDGE, (0x0080, *words), None, Fault.NONE)
@@ -143,31 +148,53 @@ def test_the_gyro_scale_follows_the_range(gyro_range: int, dps: float) -> None:
     assert BurstDecoder(gyro_range).sample(burst).gyro[0] == about(dps * 3.141592653589793 / 180)
 
 
-def equal_burst(t_ns: int, kind: TimeKind = TimeKind.EDGE, status: int = 0) -> Burst:
-    return Burst(t_ns, kind, (status, *PUBLISHED), None)
+def equal_burst(t_ns: int, status: int = 0) -> Burst:
+    return Burst(t_ns, TimeKind.EDGE, (status, *PUBLISHED), None)
 
 
 def test_equal_samples_with_an_edge_each_are_honest() -> None:
-    watch = RepetitionWatch(1e-3, 2)
-    assert [watch.is_repeated(equal_burst(i * 1_000_000)) for i in range(60)] == [False] * 60
+    watch = RepetitionWatch(2)
+    assert [watch.is_repeated(equal_burst(i), is_doubtful=False) for i in range(13)] == [False] * 13
+    assert not watch.is_frozen
 
 
-def test_a_sample_read_twice_in_paces_is_repeated_even_if_its_status_changed() -> None:
-    watch = RepetitionWatch(1e-3, 2)
-    assert not watch.is_repeated(equal_burst(0, TimeKind.READ, 0x80))
-    assert watch.is_repeated(equal_burst(1_000_000, TimeKind.READ))
-
-
-def test_a_glitch_on_the_line_shows_as_a_repeated_sample() -> None:
-    watch = RepetitionWatch(1e-3, 2)
-    assert not watch.is_repeated(equal_burst(0))
-    assert watch.is_repeated(equal_burst(400_000))
+def test_an_equal_sample_of_doubtful_time_is_repeated_even_if_its_status_changed() -> None:
+    watch = RepetitionWatch(2)
+    assert not watch.is_repeated(equal_burst(0, 0x80), is_doubtful=True)
+    assert watch.is_repeated(equal_burst(1), is_doubtful=True)
+    other = Burst(2, TimeKind.EDGE, (0, *PUBLISHED[::-1]), None)
+    assert not watch.is_repeated(other, is_doubtful=True)
 
 
 def test_frozen_registers_show_after_a_run_that_no_noise_survives() -> None:
-    watch = RepetitionWatch(1e-3, 0)
-    verdicts = [watch.is_repeated(equal_burst(i * 1_000_000)) for i in range(20)]
-    assert verdicts == [False] * 17 + [True] * 3
-    other = Burst(20_000_000, TimeKind.EDGE, (0, *PUBLISHED[::-1]), None)
-    assert not watch.is_repeated(other)
-    assert not watch.is_repeated(equal_burst(21_000_000))
+    watch = RepetitionWatch(0)
+    verdicts = [watch.is_repeated(equal_burst(i), is_doubtful=False) for i in range(20)]
+    assert verdicts == [False] * 13 + [True] * 7
+    assert watch.is_frozen
+    other = Burst(20, TimeKind.EDGE, (0, *PUBLISHED[::-1]), None)
+    assert not watch.is_repeated(other, is_doubtful=False)
+    assert not watch.is_repeated(equal_burst(21), is_doubtful=False)
+    assert not watch.is_frozen
+
+
+@pytest.mark.parametrize("word", range(1, 7))
+@pytest.mark.parametrize(("missing", "fault"), [(1, Fault.NONE), (0, Fault.OUT_OF_RANGE)])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_full_scale_is_out_of_range_once_the_part_says_so(word: int, missing: int, fault: Fault, sign: int) -> None:
+    full_scale = 25_000 if word <= 3 else 21_600  # 1000 deg/s at 0.04, 18 g at 1200 a g
+    words = [DIAG_OVERRANGE, *[7] * 11]
+    words[word] = sign * (full_scale - missing) & 0xFFFF
+    assert classify(tuple(words), bitwise_crc(words[1:])) is fault
+    words[0] = 0
+    assert classify(tuple(words), bitwise_crc(words[1:])) is Fault.NONE
+
+
+@pytest.mark.parametrize("word", range(1, 7))
+@pytest.mark.parametrize(("excess", "fault"), [(0, Fault.NONE), (1, Fault.OUT_OF_RANGE)])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_counts_beyond_what_can_be_measured_are_told(word: int, excess: int, fault: Fault, sign: int) -> None:
+    limit = 32_500 if word <= 3 else 25_920  # 1.3 x 1000 deg/s at 0.04, 1.2 x 18 g at 1200 a g
+    words = [0x80, *[7] * 11]
+    words[word] = sign * (limit + excess) & 0xFFFF
+    for crc in (None, bitwise_crc(words[1:])):
+        assert classify(tuple(words), crc) is fault

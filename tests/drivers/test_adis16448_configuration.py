@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 from pydantic import ValidationError
 
-from drivers.adis16448.configuration import ImuSettings, RegisterBits, register_bits
+from drivers.adis16448.configuration import ImuSettings, RegisterBits, merged, register_bits
 
 
 def test_the_defaults_are_usable_as_they_are() -> None:
@@ -39,6 +39,9 @@ def test_a_range_with_too_few_taps_is_refused_in_one_sentence(gyro_range: int, l
         {"data_ready_line": -1},
         {"burst_crc": "maybe"},
         {"transport": "usb"},
+        {"acquisition": "fork"},
+        {"realtime_priority": 0},
+        {"realtime_priority": 100},
     ],
 )
 def test_what_the_part_does_not_have_is_refused(wrong: dict[str, object]) -> None:
@@ -69,3 +72,16 @@ def test_bits_hold_only_where_both_kinds_are_as_wanted() -> None:
     assert bits.holds_in(0x0207)
     assert not bits.holds_in(0x0307)
     assert not bits.holds_in(0x0007)
+
+
+def test_the_merged_table_has_one_line_per_register_with_the_bits_of_all() -> None:
+    table = register_bits(ImuSettings(gyro_range_dps=250, filter_taps_exponent=5), crc=True)
+    lines = merged(table)
+    assert [bits.register for bits in lines] == ["MSC_CTRL", "SMPL_PRD", "SENS_AVG"]
+    for value in (0x0000, 0xFFFF, 0x5A5A):
+        for line in lines:
+            expected = value
+            for bits in table:
+                if bits.register == line.register:
+                    expected = bits.applied_to(expected)
+            assert line.applied_to(value) == expected

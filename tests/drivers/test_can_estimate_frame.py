@@ -10,7 +10,8 @@ from crccheck.crc import Crc8SaeJ1850  # type: ignore[import-untyped]  # has no 
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from drivers.can.estimate_frame import EstimateEncoder, crc8_j1850, decode_estimate
+from drivers.can.checksums import crc8_j1850
+from drivers.can.estimate_frame import EstimateEncoder, decode_estimate
 from drivers.can.frame import Frame
 from drivers.can.presets import DBC_FOLDER
 from drivers.can.settings import PublishSettings

@@ -4,6 +4,7 @@ import contextlib
 import socket
 import struct
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -18,9 +19,11 @@ from drivers.clock import SystemClock
 from drivers.data_ready import DataReadyError, Edge
 from drivers.spi import SpiError
 from drivers.virtual.adis16448 import VirtualAdis16448
+from drivers.virtual.faulty_line import FaultyEdges
 from drivers.virtual.inertial_input import RecordedInput, SteadyInput
 from drivers.virtual.spi_socket import SocketDataReady, SocketTransport, SpiSocketServer
 from estimation.records import TimeKind
+from tests.drivers.fault_kit import fault, script
 
 
 @contextlib.contextmanager
@@ -54,7 +57,10 @@ def test_a_driver_in_another_thread_reads_over_the_socket_what_the_edges_announc
     with served(path, VirtualAdis16448(ramp, clock)):
         transport = SocketTransport(str(path))
         device = Adis16448(transport, clock, ImuSettings(gyro_range_dps=1000, filter_taps_exponent=0))
-        identity = device.start()
+        device.reset()
+        clock.sleep(0.1)
+        identity = device.identify()
+        device.configure()
         line = SocketDataReady(str(path))
         pairs: list[tuple[int, Burst]] = []
         seen = 0
@@ -67,7 +73,7 @@ def test_a_driver_in_another_thread_reads_over_the_socket_what_the_edges_announc
             if pairs:
                 assert round(number) == seen + 1 + edge.missed
             seen = round(number)
-            pairs.append((round(number), device.read_burst(edge)))
+            pairs.append((round(number), device.read_burst(edge.t_ns, edge.kind)))
         transport.close()
         line.close()
     assert identity.product_id == 16448
@@ -98,8 +104,13 @@ class FakePart:
     def __init__(self, edges: list[Edge] | None = None) -> None:
         self.line = FakeLine(edges or [])
         self.asked: list[tuple[int, bool]] = []
+        self.asked_ns: list[int | None] = []
+        self.is_port_broken = False
 
-    def transfer(self, data: bytes, speed_hz: int) -> bytes:
+    def transfer(self, data: bytes, speed_hz: int, asked_ns: int | None = None) -> bytes:
+        self.asked_ns.append(asked_ns)
+        if self.is_port_broken:
+            raise SpiError("broken")
         return bytes(byte ^ 0xFF for byte in data)
 
     def data_ready(self, *, pin: int, active_high: bool) -> FakeLine:
@@ -147,6 +158,69 @@ def test_frames_go_there_and_back_for_several_clients(tmp_path: Path) -> None:
             client.close()
 
 
+def test_a_port_that_fails_fails_for_the_client_and_works_again(tmp_path: Path) -> None:
+    part = FakePart()
+    with served(tmp_path / "s", part) as server:
+        client = SocketTransport(str(tmp_path / "s"))
+        part.is_port_broken = True
+        for _ in range(2):
+            with pytest.raises(SpiError, match="failed, as its fault script says"):
+                client.transfer(b"\x56\x00", 1_000_000)
+        part.is_port_broken = False
+        assert client.transfer(b"\x56\x00", 1_000_000) == b"\xa9\xff"
+        assert (server.served.frames, server.served.failed_frames) == (3, 2)
+        client.close()
+
+
+def test_a_request_says_when_it_was_made(tmp_path: Path) -> None:
+    part = FakePart()
+    with served(tmp_path / "s", part):
+        client = SocketTransport(str(tmp_path / "s"))
+        before_ns = time.monotonic_ns()
+        client.transfer(b"\0\0", 1_000_000)
+        client.close()
+    (asked_ns,) = part.asked_ns
+    assert asked_ns is not None
+    assert before_ns <= asked_ns <= time.monotonic_ns()
+
+
+def test_told_edges_are_counted_with_the_missed_ones(tmp_path: Path) -> None:
+    part = FakePart([Edge(t, TimeKind.EDGE, missed) for t, missed in ((100, 0), (200, 3), (300, 0))])
+    with served(tmp_path / "s", part) as server:
+        line = SocketDataReady(str(tmp_path / "s"))
+        assert part.line.all_sent.wait(20)
+        assert server.served.edges == 6
+        line.close()
+
+
+def test_edges_lost_doubled_and_late_by_script_reach_the_client_so(tmp_path: Path) -> None:
+    clock = SystemClock()
+    start_ns = clock.now_ns()
+    faults = script(
+        fault("data_ready_lost", 0.0, 3600.0, share=0.3),
+        fault("data_ready_doubled", 0.0, 3600.0, share=0.3, after_us=500),
+        fault("late_edges", 0.0, 3600.0, every_ms=50.0),
+    )
+    wires = FaultyEdges(faults, start_ns)
+    part = VirtualAdis16448(SteadyInput(500.0, start_ns=start_ns), clock, edge_wire=wires)
+    with served(tmp_path / "s", part) as server:
+        line = SocketDataReady(str(tmp_path / "s"))
+        edges = [line.wait(5.0) for _ in range(4)]
+        line.close()
+    heard = 0
+    for edge in edges:
+        assert edge is not None
+        heard += 1 + edge.missed
+        number, echo = divmod(edge.t_ns - start_ns, 2_000_000)
+        assert echo in (0, 500_000)
+        assert wires.arrivals(start_ns + number * 2_000_000)
+    # Bunches of 25 edges: 0.7 * 1.3 of them arrive.
+    assert heard > 3 * 12
+    assert server.served.edges >= heard
+    account = part.account()
+    assert account.edges + account.edges_lost_by_script - account.edges_added_by_script <= account.updates
+
+
 @pytest.mark.parametrize(("client", "error"), [(SocketTransport, SpiError), (SocketDataReady, DataReadyError)])
 def test_without_a_server_the_client_says_what_to_start(tmp_path: Path, client: Any, error: type[Exception]) -> None:
     path = str(tmp_path / "nobody.sock")
@@ -187,10 +261,10 @@ def test_a_client_that_leaves_during_silence_is_let_go(tmp_path: Path) -> None:
         struct.pack(">HcBB", 3, b"X", 1, 1),
         struct.pack(">HcBB", 3, b"E", 3, 1),
         struct.pack(">H", 1) + b"F",
-        struct.pack(">HcBB", 3, b"F", 0, 0) + struct.pack(">HI", 4, 1_000_000),
-        struct.pack(">HcBB", 3, b"F", 0, 0) + struct.pack(">HIH", 6, 0, 0),
+        struct.pack(">HcBB", 3, b"F", 0, 0) + struct.pack(">HIq", 12, 1_000_000, 0),
+        struct.pack(">HcBB", 3, b"F", 0, 0) + struct.pack(">HIqH", 14, 0, 0, 0),
         struct.pack(">HcBB", 3, b"F", 0, 0) + struct.pack(">H", 0),
-        struct.pack(">HcBB", 3, b"F", 0, 0) + struct.pack(">HI", 4101, 1_000_000) + bytes(4097),
+        struct.pack(">HcBB", 3, b"F", 0, 0) + struct.pack(">HIq", 4109, 1_000_000, 0) + bytes(4097),
     ],
 )
 def test_a_client_that_speaks_another_language_is_hung_up_on_and_others_are_served(

@@ -147,3 +147,34 @@ def test_steps_never_have_no_duration_nor_overlap_whatever_the_times(differences
         assert step.t_ns - step.dt_s * 1e9 >= end_ns - 1  # a nanosecond of rounding
         end_ns = step.t_ns
     assert len(steps) <= (len(times) - cutter.backward) // SAMPLES_PER_STEP
+
+
+def period_after(*intervals_s: float) -> float:
+    """What the cutter believes of the sample period after samples at these distances."""
+    cutter, t_ns = BlockCutter(), 0
+    for interval_s in (0.0, *intervals_s):
+        t_ns += round(interval_s * 1e9)
+        cutter.add(ImuSample(t_ns, (0.0, 0.0, 0.0), (0.0, 0.0, 9.8)), Mount(MountSettings()))
+    return cutter.period_s
+
+
+T = 1 / 819.2
+
+
+@pytest.mark.parametrize("odd", [(60e-6,), (60e-6, T - 60e-6), (2 * T,), (3e-4, 3e-4), (T / 2,) * 3])
+def test_a_few_odd_intervals_teach_nothing_of_the_period(odd: tuple[float, ...]) -> None:
+    assert period_after(*[T] * 3000, *odd, *[T] * 10) == pytest.approx(T, rel=1e-3)
+
+
+@pytest.mark.parametrize("first", [60e-6, 3 * T])
+def test_a_first_interval_that_misled_is_soon_forgotten(first: float) -> None:
+    assert period_after(first, *[T] * 100) == pytest.approx(T, rel=1e-3)
+
+
+def test_another_rate_that_lasts_is_learned() -> None:
+    assert period_after(*[T] * 3000, *[T / 2] * 10) == pytest.approx(T / 2, rel=1e-3)
+    assert period_after(*[T] * 3000, *[2 * T] * 60) == pytest.approx(2 * T, rel=1e-3)
+
+
+def test_every_second_sample_lost_for_a_moment_is_no_other_rate() -> None:
+    assert period_after(*[T] * 3000, *[2 * T] * 30, *[T] * 5) == pytest.approx(T, rel=1e-3)

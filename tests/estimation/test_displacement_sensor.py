@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from estimation.displacement_sensor import BIASED_READINGS, STUCK_READINGS, DisplacementSensor, Reading
-from estimation.records import CanState, Displacement
+from estimation.records import CanState, Displacement, ReadingFault
 
 PERIOD_S = 0.07
 SPEED_M_S = 0.0145
@@ -30,9 +30,9 @@ class Feed:
     def state(self) -> CanState:
         return self.sensor.state(self.t_ns)
 
-    def read(self, value_m: float, *, valid: bool = True, accepted: bool = True) -> Reading:
+    def read(self, value_m: float, *, fault: ReadingFault = ReadingFault.NONE, accepted: bool = True) -> Reading:
         self.t_s += PERIOD_S
-        reading = self.sensor.judge(Displacement(self.t_ns, value_m, valid), self.p_m)
+        reading = self.sensor.judge(Displacement(self.t_ns, value_m, fault), self.p_m)
         if reading.usable:
             self.sensor.gated(accepted)
         return reading
@@ -50,10 +50,6 @@ def silent(feed: Feed) -> None:
 
 def late(feed: Feed) -> None:
     feed.t_s += 0.3
-
-
-def invalid(feed: Feed) -> None:
-    feed.read(0.1, valid=False)
 
 
 def not_a_number(feed: Feed) -> None:
@@ -88,7 +84,6 @@ def nothing(feed: Feed) -> None: ...
         (nothing, CanState.OK),
         (late, CanState.LATE),
         (silent, CanState.SILENT),
-        (invalid, CanState.INVALID),
         (not_a_number, CanState.INVALID),
         (too_far, CanState.OUT_OF_RANGE),
         (too_near, CanState.OUT_OF_RANGE),
@@ -111,23 +106,70 @@ def test_without_a_single_reading_there_is_no_sensor() -> None:
 
 
 @pytest.mark.parametrize(
-    ("value_m", "valid", "usable"),
+    ("value_m", "usable"),
     [
-        (0.1, True, True),
-        (-0.039, True, True),
-        (0.539, True, True),
-        (-0.041, True, False),
-        (0.541, True, False),
-        (0.1, False, False),
-        (math.inf, True, False),
-        (math.nan, True, False),
+        (0.1, True),
+        (-0.039, True),
+        (0.539, True),
+        (-0.041, False),
+        (0.541, False),
+        (math.inf, False),
+        (math.nan, False),
     ],
 )
-def test_a_reading_is_usable_if_valid_and_within_the_stroke_and_a_margin(
-    value_m: float, valid: bool, usable: bool
-) -> None:
+def test_a_reading_without_fault_is_usable_within_the_stroke_and_a_margin(value_m: float, usable: bool) -> None:
     sensor = DisplacementSensor(NOISE_M**2, stroke_m=0.5)
-    assert sensor.judge(Displacement(0, value_m, valid), 0.1).usable is usable
+    assert sensor.judge(Displacement(0, value_m), 0.1).usable is usable
+
+
+STATE_OF_FAULT = {
+    ReadingFault.NONE: CanState.OK,
+    ReadingFault.INVALID: CanState.INVALID,
+    ReadingFault.OUT_OF_RANGE: CanState.OUT_OF_RANGE,
+    ReadingFault.MALFORMED: CanState.INVALID,
+    ReadingFault.CHECKSUM: CanState.INVALID,
+    ReadingFault.REPEATED: CanState.STUCK,
+}
+
+
+@pytest.mark.parametrize("value_m", [0.1, 0.9, math.inf, math.nan])
+@pytest.mark.parametrize("fault", [fault for fault in ReadingFault if fault is not ReadingFault.NONE])
+def test_a_reading_with_a_fault_is_never_used_and_gives_its_word_until_a_good_one_comes(
+    fault: ReadingFault, value_m: float
+) -> None:
+    feed = Feed()
+    feed.run(30)
+    assert not feed.read(value_m, fault=fault).usable
+    # What the source shows along with a fault says nothing more; infinity is no number without one.
+    assert feed.state() is STATE_OF_FAULT[fault]
+    assert feed.read(feed.p_m).usable
+    assert feed.state() is CanState.OK
+
+
+def test_every_fault_of_a_reading_has_its_state() -> None:
+    assert set(STATE_OF_FAULT) == set(ReadingFault)
+
+
+def test_nothing_is_learned_from_readings_with_a_fault() -> None:
+    spoilt, plain = Feed(), Feed()
+    for feed in (spoilt, plain):
+        for number in range(60):
+            if feed is spoilt:
+                feed.sensor.judge(Displacement(feed.t_ns + 1, 0.0, ReadingFault.REPEATED), feed.p_m)
+                feed.sensor.judge(Displacement(feed.t_ns + 1, 0.45, ReadingFault.REPEATED), feed.p_m)
+            feed.read(0.1 + 0.001 * (number % 3))
+    assert spoilt.sensor.noise_m2 == plain.sensor.noise_m2
+    assert spoilt.sensor.period_s == pytest.approx(plain.sensor.period_s, rel=1e-3)
+
+
+def test_the_first_good_reading_after_bad_ones_is_compared_with_none_of_them() -> None:
+    late, prompt = Feed(), Feed()
+    late.read(math.nan, fault=ReadingFault.MALFORMED)
+    for feed in (late, prompt):
+        feed.read(0.1)
+        feed.read(0.1)
+    assert late.sensor.noise_m2 == prompt.sensor.noise_m2
+    assert late.sensor.same_in_row == prompt.sensor.same_in_row
 
 
 def test_illness_of_the_value_goes_before_its_age_but_silence_before_all() -> None:

@@ -1,0 +1,49 @@
+"""Who still makes progress: systemd's watchdog is fed only while every part that should does."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+PATIENCE_S = 4.0  # without progress; systemd then waits WatchdogSec more before it acts
+
+
+@dataclass(slots=True)
+class _Part:
+    progress: Callable[[], int]
+    expected: Callable[[], bool]
+    patience_s: float
+    count: int = -1
+    since_s: float = 0.0
+
+
+@dataclass(slots=True)
+class Watchdog:
+    """Counts of work done, one for each part.
+
+    A part whose device is ill still makes progress: it tries again, and counts that. Only one that hangs does not.
+    """
+
+    parts: dict[str, _Part] = field(default_factory=dict)
+
+    def watch(
+        self,
+        name: str,
+        progress: Callable[[], int],
+        *,
+        expected: Callable[[], bool] = lambda: True,
+        patience_s: float | None = None,
+    ) -> None:
+        """Expect `progress()` to move within `patience_s` (PATIENCE_S) while `expected()`."""
+        self.parts[name] = _Part(progress, expected, PATIENCE_S if patience_s is None else patience_s)
+
+    def laggards(self, now_s: float) -> dict[str, float]:
+        """The parts that stand still, and for how long [s]; look once a second."""
+        standing: dict[str, float] = {}
+        for name, part in self.parts.items():
+            count = part.progress()
+            if count != part.count or not part.expected():
+                part.count, part.since_s = count, now_s
+            elif now_s - part.since_s >= part.patience_s:
+                standing[name] = now_s - part.since_s
+        return standing

@@ -1,0 +1,19 @@
+"""Who an ADIS16448 says it is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(slots=True, frozen=True)
+class Identity:
+    """Product, lot and serial number of the part that answers from `t_ns` on."""
+
+    t_ns: int
+    product_id: int
+    lot_id: int  # LOT_ID1 in the upper half
+    serial: int
+
+    def is_same_part(self, other: Identity) -> bool:
+        """Whether both name one and the same part."""
+        return (self.lot_id, self.serial) == (other.lot_id, other.serial)
