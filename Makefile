@@ -30,7 +30,7 @@ bench: $(INSTALLED)
 
 docs: $(INSTALLED)
 	$(BIN)/python -m daemon.configuration_reference > docs/configuration.md
-	$(BIN)/python -m daemon.fault_reference > docs/faults.md
+	$(BIN)/python -m daemon.simulation.fault_reference > docs/faults.md
 
 rebase: $(INSTALLED)
 	$(BIN)/python -m pytest tests/acceptance/test_regression.py tests/acceptance/test_recorded_bytes.py --rebase

@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 
 from daemon import terminal
-from daemon.demo import demo_settings, run_demo
-from daemon.evaluation import MODES, evaluate, records_of, summarise, summarise_clock
+from daemon.offline.evaluation import MODES, evaluate, records_of, summarise, summarise_clock
+from daemon.offline.replay import replay
 from daemon.recording.metadata import describe
 from daemon.recording.reader import Recording
 from daemon.recording.recover import recover
 from daemon.recording.topics import IMU_RAW
 from daemon.recording.writer import RecordingWriter
-from daemon.replay import replay
+from daemon.simulation.demo import demo_settings, run_demo
 from drivers.virtual.support import VirtualSupport
 from estimation.pipeline import Pipeline, Start
 

@@ -19,10 +19,10 @@ import time
 from pathlib import Path
 from typing import Any
 
+from daemon.offline.replay import replay
 from daemon.recording import topics
 from daemon.recording.reader import Recording
 from daemon.recording.topics import Health
-from daemon.replay import replay
 from drivers.adis16448.burst import Burst, Fault
 from drivers.can.frame import Frame
 from estimation.records import Move

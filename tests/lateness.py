@@ -18,7 +18,7 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-from daemon.application import Application
+from daemon.service.application import Application
 from daemon.settings import Settings
 from drivers.adis16448.counters import LATENESS_BINS_US
 

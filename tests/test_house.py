@@ -78,7 +78,9 @@ def test_the_estimator_knows_no_clock_file_loop_or_device() -> None:
     assert found == []
 
 
-@pytest.mark.parametrize("module", ["daemon.application", "daemon.virtual", "daemon.simulation"])
+@pytest.mark.parametrize(
+    "module", ["daemon.service.application", "daemon.simulation.virtual", "daemon.simulation.server"]
+)
 def test_a_running_daemon_loads_nothing_heavy(module: str) -> None:
     program = f"import sys, {module}; print(*sorted(set(sys.modules) & set({OFFLINE_ONLY!r})))"
     ended = subprocess.run(

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from daemon.demo import DemoResult
+    from daemon.simulation.demo import DemoResult
     from drivers.virtual.faults import FaultScript
 
 HELP = (
@@ -29,11 +29,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Play the demo; 1 if not every move was found although nothing went wrong by script."""
     from daemon import terminal
-    from daemon.demo import demo_settings, run_demo
     from daemon.errors import CommandError, UsageError
-    from daemon.fault_file import load_faults
-    from daemon.plots import plot_demo
-    from daemon.virtual import virtual_support
+    from daemon.offline.plots import plot_demo
+    from daemon.simulation.demo import demo_settings, run_demo
+    from daemon.simulation.fault_file import load_faults
+    from daemon.simulation.virtual import virtual_support
 
     if arguments.seed < 0:
         raise UsageError("--seed must not be negative")

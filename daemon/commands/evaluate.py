@@ -41,7 +41,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     from daemon import terminal
     from daemon.errors import UsageError
-    from daemon.evaluation import MODES, evaluate, summarise, summarise_clock
+    from daemon.offline.evaluation import MODES, evaluate, summarise, summarise_clock
     from drivers.virtual.motion import SCENARIOS
 
     if arguments.scenario not in SCENARIOS:

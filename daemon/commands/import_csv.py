@@ -24,7 +24,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Import."""
     from daemon import terminal
     from daemon.configuration import load
-    from daemon.importer import import_csv
+    from daemon.offline.importer import import_csv
     from daemon.settings import Settings
 
     settings = load(arguments.config) if arguments.config else Settings()

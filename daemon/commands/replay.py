@@ -26,7 +26,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Replay."""
     from daemon import terminal
     from daemon.configuration import load
-    from daemon.replay_outputs import replay_to
+    from daemon.offline.replay_outputs import replay_to
 
     settings = load(arguments.config) if arguments.config else None
     with terminal.progress("messages") as progress:

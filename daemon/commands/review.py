@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from daemon.reviewing import Review
+    from daemon.offline.reviewing import Review
 
 HELP = (
     "Sum up a recording: contents, gaps, faults, sensor health, moves, and the errors against the reference "
@@ -28,7 +28,7 @@ def run(arguments: argparse.Namespace) -> int:
     from dataclasses import asdict
 
     from daemon import terminal
-    from daemon.reviewing import review
+    from daemon.offline.reviewing import review
 
     with terminal.progress("messages") as progress:
         reviewed = review(arguments.file, progress)

@@ -22,9 +22,9 @@ def run(arguments: argparse.Namespace) -> int:
     """Run until stopped."""
     import asyncio
 
-    from daemon.application import Application
     from daemon.configuration import load
     from daemon.logs import configure_logging
+    from daemon.service.application import Application
     from daemon.settings import Settings
 
     settings = load(arguments.config) if arguments.config else Settings()

@@ -35,9 +35,9 @@ def run(arguments: argparse.Namespace) -> int:
 
     from daemon.configuration import load
     from daemon.errors import UsageError
-    from daemon.fault_file import load_faults
     from daemon.logs import configure_logging
-    from daemon.simulation import simulate
+    from daemon.simulation.fault_file import load_faults
+    from daemon.simulation.server import simulate
 
     settings = load(arguments.config)
     if settings.imu.transport != "socket":

@@ -24,8 +24,8 @@ def run(arguments: argparse.Namespace) -> int:
 
     from daemon import terminal
     from daemon.configuration import load
-    from daemon.health import UNDETERMINED_SHARE
-    from daemon.live_client import first_line
+    from daemon.service.health import UNDETERMINED_SHARE
+    from daemon.service.live_client import first_line
     from daemon.settings import Settings
 
     settings = load(arguments.config) if arguments.config else Settings()

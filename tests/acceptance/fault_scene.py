@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.health import HealthBook, displacement_condition, kind_of
 from daemon.recording import topics
 from daemon.recording.metadata import LEARNED, SNAPSHOT, describe
 from daemon.recording.topics import Recorded
 from daemon.recording.writer import RecordingWriter
+from daemon.service.health import HealthBook, displacement_condition, kind_of
 from daemon.settings import Settings
-from daemon.simulated_run import SimulatedRun
-from daemon.simulated_stream import SimulatedStream
+from daemon.simulation.run import SimulatedRun
+from daemon.simulation.stream import SimulatedStream
 from drivers.adis16448.burst import Burst, Fault
 from drivers.adis16448.identity import Identity
 from drivers.can.frame import Frame

@@ -12,14 +12,14 @@ from typing import Any
 
 import pytest
 
-from daemon.health import kind_of
+from daemon.offline.replay import settings_of
 from daemon.recording import topics
 from daemon.recording.reader import Recording
 from daemon.recording.topics import Recorded
-from daemon.replay import settings_of
+from daemon.service.health import kind_of
 from daemon.settings import Settings
-from daemon.simulated_run import SimulatedRun
-from daemon.simulated_stream import SimulatedStream
+from daemon.simulation.run import SimulatedRun
+from daemon.simulation.stream import SimulatedStream
 from drivers.adis16448.identity import Identity
 from drivers.clock import VirtualClock
 from estimation.pipeline import Start

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import pytest
 
+from daemon.offline.replay import replay
 from daemon.recording import topics
 from daemon.recording.topics import Recorded
-from daemon.replay import replay
 from estimation.records import Estimate, Event, Move
 
 FOLDER = Path(__file__).parent.parent / "data" / "regression"

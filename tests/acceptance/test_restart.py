@@ -12,10 +12,10 @@ from pathlib import Path
 
 import pytest
 
-from daemon.application import Application
+from daemon.service.application import Application
+from daemon.service.state_file import SavedStroke, load, save
 from daemon.settings import Settings
-from daemon.state_file import SavedStroke, load, save
-from daemon.virtual import virtual_part, virtual_support
+from daemon.simulation.virtual import virtual_part, virtual_support
 from drivers.can.interface import to_message
 from drivers.clock import SystemClock
 from drivers.virtual.can_network import NetworkBus

@@ -21,10 +21,10 @@ from cantools.database.can import Database
 
 from daemon.cli import main
 from daemon.configuration import load
+from daemon.offline.replay import replay
 from daemon.recording import topics
 from daemon.recording.reader import Recording
 from daemon.recording.topics import Health
-from daemon.replay import replay
 from drivers.can.checksums import crc8_j1850
 from drivers.can.frame import Frame
 from drivers.can.presets import DBC_FOLDER

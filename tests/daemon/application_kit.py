@@ -9,7 +9,7 @@ from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
 
-from daemon.application import Application
+from daemon.service.application import Application
 from daemon.settings import Settings
 
 PATIENCE_S = 60.0  # for a machine that is busy with other things

@@ -14,15 +14,15 @@ from typing import Any
 
 import pytest
 
-from daemon import application, state_file, watchdog
-from daemon.application import Application
 from daemon.cli import main
-from daemon.live_client import first_line
-from daemon.notify import Notifier
+from daemon.offline.replay import replay
 from daemon.recording import topics
 from daemon.recording.reader import Recording
 from daemon.recording.topics import Health, LogLine, Recorded
-from daemon.replay import replay
+from daemon.service import application, state_file, watchdog
+from daemon.service.application import Application
+from daemon.service.live_client import first_line
+from daemon.service.notify import Notifier
 from daemon.settings import Settings
 from drivers.can.estimate_frame import decode_estimate
 from drivers.can.frame import Frame

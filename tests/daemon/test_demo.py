@@ -11,13 +11,13 @@ from typing import Any
 import pytest
 
 from daemon.cli import main
-from daemon.demo import demo_settings
-from daemon.fault_file import load_faults
+from daemon.offline.replay import replay
 from daemon.recording import topics
 from daemon.recording.reader import Recording
 from daemon.recording.topics import TOPICS
-from daemon.replay import replay
-from daemon.virtual import virtual_support
+from daemon.simulation.demo import demo_settings
+from daemon.simulation.fault_file import load_faults
+from daemon.simulation.virtual import virtual_support
 from drivers.adis16448.burst import Burst, Fault
 from estimation.records import Move
 from tests.conftest import DemoRun

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from daemon.cli import main
-from daemon.evaluation import MoveScore, SeedResult, evaluate, evaluate_seed, summarise, summarise_clock
+from daemon.offline.evaluation import MoveScore, SeedResult, evaluate, evaluate_seed, summarise, summarise_clock
 
 
 @pytest.fixture(scope="module")

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from daemon.cli import main
-from daemon.fault_file import load_faults
-from daemon.fault_reference import generate
+from daemon.simulation.fault_file import load_faults
+from daemon.simulation.fault_reference import generate
 from daemon.toml_errors import ConfigurationError
 from drivers.virtual.faults import KINDS, Fault, FaultScript, Flood, Jump
 
@@ -171,7 +171,7 @@ def test_our_scripts_show_a_bit_of_everything() -> None:
 
 def test_the_page_in_the_repository_is_what_the_models_say() -> None:
     page = (HOUSE / "docs" / "faults.md").read_text(encoding="utf-8")
-    assert page == generate(), "run: python -m daemon.fault_reference > docs/faults.md"
+    assert page == generate(), "run: python -m daemon.simulation.fault_reference > docs/faults.md"
     for name, kind in KINDS.items():
         (row,) = [line for line in page.splitlines() if line.startswith(f"| `{name}` |")]
         for key in set(kind.model_fields) - set(Fault.model_fields) - {"kind"}:

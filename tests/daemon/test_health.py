@@ -9,7 +9,9 @@ from typing import Any
 
 import pytest
 
-from daemon.health import (
+from daemon.recording.recorder import Recorder
+from daemon.recording.settings import RecorderSettings
+from daemon.service.health import (
     LOG_EVERY_S,
     TOLD_S,
     HealthBook,
@@ -19,9 +21,7 @@ from daemon.health import (
     loop_condition,
     status_line,
 )
-from daemon.loop_watch import Lateness
-from daemon.recording.recorder import Recorder
-from daemon.recording.settings import RecorderSettings
+from daemon.service.loop_watch import Lateness
 from drivers.condition import OFF, OK, Condition, Wellness
 from estimation.records import CanState, Estimate, Segment, Tier
 

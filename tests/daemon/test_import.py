@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daemon import importer
-from daemon.importer import CsvError, import_csv
+from daemon.offline import importer
+from daemon.offline.importer import CsvError, import_csv
 from daemon.recording import topics
 from daemon.recording.errors import RecordingError
 from daemon.recording.reader import Recording

@@ -11,10 +11,10 @@ from typing import Any
 
 import pytest
 
-from daemon.imu_link import ImuLink
-from daemon.imu_ports import port_openers
+from daemon.imu.link import ImuLink
+from daemon.imu.ports import port_openers
 from daemon.settings import Settings
-from daemon.virtual import virtual_support
+from daemon.simulation.virtual import virtual_support
 from drivers.acquisition import Block
 from drivers.adis16448.burst import Burst
 from drivers.adis16448.configuration import ImuSettings
@@ -159,7 +159,7 @@ def test_the_virtual_part_is_one_however_often_its_port_is_opened() -> None:
 
 
 def test_a_sensor_served_by_another_program_is_met_when_that_starts(short_path: Path, blocks: list[Block]) -> None:
-    from daemon.virtual import virtual_part
+    from daemon.simulation.virtual import virtual_part
     from drivers.virtual.spi_socket import SpiSocketServer
 
     path = str(short_path / "imu.sock")

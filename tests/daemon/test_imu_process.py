@@ -13,10 +13,10 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from daemon import imu_process
-from daemon.imu_child import Outbox
-from daemon.imu_messages import Health, LogLine, Message, Orders, receive, send
-from daemon.imu_process import ImuProcess
+from daemon.imu import process as imu_process
+from daemon.imu.child import Outbox
+from daemon.imu.messages import Health, LogLine, Message, Orders, receive, send
+from daemon.imu.process import ImuProcess
 from daemon.settings import Settings
 from drivers.acquisition import Block
 from drivers.adis16448.burst import Burst
@@ -120,7 +120,7 @@ def test_a_parent_that_stalls_loses_nothing(monkeypatch: pytest.MonkeyPatch) -> 
 def test_no_orphan_remains_when_the_parent_is_killed() -> None:
     program = (
         "import sys, time\n"
-        "from daemon.imu_process import ImuProcess\n"
+        "from daemon.imu.process import ImuProcess\n"
         "from daemon.settings import Settings\n"
         f"settings = Settings.model_validate_json({SETTINGS.model_dump_json()!r})\n"
         "process = ImuProcess(settings, time.monotonic_ns(), lambda block: print(process.pid, flush=True))\n"

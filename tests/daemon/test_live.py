@@ -14,8 +14,8 @@ from typing import Any
 import pytest
 
 from daemon.errors import CommandError
-from daemon.live import LINES_PER_VIEWER, VIEWERS, WRITE_BUFFER_BYTES, LiveServer
-from daemon.live_client import first_line
+from daemon.service.live import LINES_PER_VIEWER, VIEWERS, WRITE_BUFFER_BYTES, LiveServer
+from daemon.service.live_client import first_line
 
 HELLO = {"version": "1", "estimate": None}
 

@@ -6,7 +6,7 @@ import gc
 
 import pytest
 
-from daemon.loop_watch import Lateness, LoopWatch
+from daemon.service.loop_watch import Lateness, LoopWatch
 
 
 class Clocks:

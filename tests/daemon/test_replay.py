@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from daemon.cli import main
-from daemon.demo import demo_settings
+from daemon.offline.replay import replay
 from daemon.recording import topics
 from daemon.recording.metadata import LEARNED, SNAPSHOT, Preamble, describe
 from daemon.recording.reader import Recording
@@ -22,11 +22,11 @@ from daemon.recording.recorder import Recorder
 from daemon.recording.settings import RecorderSettings
 from daemon.recording.topics import TOPICS, Recorded
 from daemon.recording.writer import RecordingWriter
-from daemon.replay import replay
 from daemon.settings import Settings
-from daemon.simulated_run import SimulatedRun
+from daemon.simulation.demo import demo_settings
+from daemon.simulation.run import SimulatedRun
+from daemon.simulation.virtual import virtual_support
 from daemon.stream import Sink, Stream
-from daemon.virtual import virtual_support
 from drivers.adis16448.identity import Identity
 from drivers.can.frame import Frame
 from drivers.clock import VirtualClock

@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 from daemon.settings import Settings
-from daemon.simulated_run import SimulatedRun
-from daemon.virtual import virtual_support
+from daemon.simulation.run import SimulatedRun
+from daemon.simulation.virtual import virtual_support
 from drivers.adis16448.burst import Burst
 from drivers.clock import VirtualClock
 from drivers.condition import OK, Wellness

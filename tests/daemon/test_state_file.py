@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 
 from daemon.recording import topics
 from daemon.recording.topics import Recorded, RecordedDisplacement
+from daemon.service.state_file import LARGEST_FILE_BYTES, SavedStroke, load, save
 from daemon.settings import Settings
-from daemon.state_file import LARGEST_FILE_BYTES, SavedStroke, load, save
 from daemon.stream import Stream
 from estimation.pipeline import Start
 from estimation.records import CanState, Displacement, Estimate, Event, ImuSample

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 
+from daemon.offline.replay import settings_of
 from daemon.recording import topics
 from daemon.recording.reader import Recording
 from daemon.recording.topics import TOPICS, Recorded, RecordedDisplacement
-from daemon.replay import settings_of
 from daemon.settings import Settings
 from daemon.stream import INPUTS, Stream
 from drivers.adis16448.burst import Burst, Fault

@@ -8,13 +8,13 @@ from typing import Any
 
 import pytest
 
-from daemon.demo import demo_settings
 from daemon.recording import topics
 from daemon.recording.topics import Recorded
 from daemon.settings import Settings
-from daemon.simulated_run import SimulatedRun
-from daemon.simulated_stream import SimulatedStream
-from daemon.virtual import ControllerTransmitter, virtual_controller, virtual_support
+from daemon.simulation.demo import demo_settings
+from daemon.simulation.run import SimulatedRun
+from daemon.simulation.stream import SimulatedStream
+from daemon.simulation.virtual import ControllerTransmitter, virtual_controller, virtual_support
 from drivers.can.frame import Frame
 from drivers.can.interface import open_bus
 from drivers.can.settings import CanConfigError

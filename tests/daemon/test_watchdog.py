@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from daemon.watchdog import PATIENCE_S, Watchdog
+from daemon.service.watchdog import PATIENCE_S, Watchdog
 
 
 class Counter:

@@ -13,8 +13,14 @@ from collections.abc import Coroutine
 from dataclasses import asdict
 from typing import Any
 
-from daemon import state_file
-from daemon.health import (
+from daemon.imu.link import ImuLink
+from daemon.recording import topics
+from daemon.recording.metadata import LEARNED, SNAPSHOT, Preamble, describe, program_version, wall_offset_ns
+from daemon.recording.recorder import Recorder
+from daemon.recording.topics import Health, Recorded
+from daemon.rows import estimate_row, move_row
+from daemon.service import state_file
+from daemon.service.health import (
     HealthBook,
     RecorderHealth,
     displacement_condition,
@@ -22,20 +28,14 @@ from daemon.health import (
     loop_condition,
     status_line,
 )
-from daemon.imu_link import ImuLink
-from daemon.live import LiveServer
-from daemon.log_relay import LogRelay
-from daemon.loop_watch import Lateness, LoopWatch
-from daemon.notify import Notifier
-from daemon.process import settle_process
-from daemon.recording import topics
-from daemon.recording.metadata import LEARNED, SNAPSHOT, Preamble, describe, program_version, wall_offset_ns
-from daemon.recording.recorder import Recorder
-from daemon.recording.topics import Health, Recorded
-from daemon.rows import estimate_row, move_row
+from daemon.service.live import LiveServer
+from daemon.service.log_relay import LogRelay
+from daemon.service.loop_watch import Lateness, LoopWatch
+from daemon.service.notify import Notifier
+from daemon.service.process import settle_process
+from daemon.service.watchdog import Watchdog
 from daemon.settings import Settings
 from daemon.stream import Stream
-from daemon.watchdog import Watchdog
 from drivers.adis16448.burst import Burst
 from drivers.adis16448.identity import Identity
 from drivers.can.bus import CanBus
@@ -74,7 +74,7 @@ class Application:
         self._live = LiveServer(settings.service.socket, self._hello)
         self._support = None
         if settings.imu.transport == "virtual":
-            from daemon.virtual import virtual_support
+            from daemon.simulation.virtual import virtual_support
 
             self._support = virtual_support(settings, start_ns=self._clock.now_ns())
         self._imu = ImuLink(settings, self._clock, self._hand_over, self._support)
@@ -131,7 +131,7 @@ class Application:
         if self._bus is not None:
             works.append(self._bus.run())
         if self._support is not None and self._settings.can.enabled:
-            from daemon.virtual import ControllerTransmitter, virtual_controller
+            from daemon.simulation.virtual import ControllerTransmitter, virtual_controller
 
             controller = virtual_controller(self._settings, self._support)
             works.append(ControllerTransmitter(self._settings, controller, self._clock).run())

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from daemon.settings import Settings
-from daemon.virtual import ControllerTransmitter, virtual_controller, virtual_part, virtual_support
+from daemon.simulation.virtual import ControllerTransmitter, virtual_controller, virtual_part, virtual_support
 from drivers.clock import SystemClock
 from drivers.virtual.faults import FaultScript
 from drivers.virtual.spi_socket import SpiSocketServer

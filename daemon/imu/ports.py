@@ -30,7 +30,7 @@ def port_openers(
     """What opens the SPI port (SpiError) and the data-ready line (DataReadyError); None: there is no line."""
     pin, active_high = settings.data_ready_pin, settings.data_ready_active_high
     if settings.transport == "virtual":
-        from daemon.virtual import virtual_part
+        from daemon.simulation.virtual import virtual_part
 
         assert support is not None
         part = virtual_part(support, clock)

@@ -6,8 +6,8 @@ import logging
 from dataclasses import dataclass, field
 from typing import Any
 
-from daemon.loop_watch import Lateness
 from daemon.recording.recorder import Recorder
+from daemon.service.loop_watch import Lateness
 from drivers.condition import OFF, OK, Condition, Wellness
 from estimation.records import CanState, Estimate
 

@@ -8,13 +8,13 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
+from daemon.offline.replay import ReplayResult, replay
 from daemon.recording import topics
 from daemon.recording.errors import failed, refuse_same_file
 from daemon.recording.metadata import LEARNED, SNAPSHOT
 from daemon.recording.reader import Recording
 from daemon.recording.topics import Recorded
 from daemon.recording.writer import RecordingWriter
-from daemon.replay import ReplayResult, replay
 from daemon.settings import Settings
 from daemon.stream import Sink
 from estimation.records import Estimate

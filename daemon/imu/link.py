@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from daemon.imu_ports import inertial_sensor
-from daemon.imu_process import ImuProcess
+from daemon.imu.ports import inertial_sensor
+from daemon.imu.process import ImuProcess
 from daemon.settings import Settings
 from drivers.acquisition import Acquisition, Block
 from drivers.adis16448.counters import Counters

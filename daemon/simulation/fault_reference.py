@@ -1,6 +1,6 @@
 """The reference of fault scripts, docs/faults.md, out of the models that check them.
 
-`python -m daemon.fault_reference > docs/faults.md` writes it anew.
+`python -m daemon.simulation.fault_reference > docs/faults.md` writes it anew.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ for:
 Files that come with the program: `config/faults/wet_cable.toml` (a minute, for `demo`) and `config/faults/long.toml`
 (30 minutes, every kind that needs no virtual interface, for `sim`).
 
-This page is made from the program, see the first lines of `daemon/fault_reference.py`.
+This page is made from the program, see the first lines of `daemon/simulation/fault_reference.py`.
 """
 
 _SECTIONS = (

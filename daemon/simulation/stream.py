@@ -6,10 +6,10 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Self
 
-from daemon.application import SILENT_IMU_S, START_UP_S, TICK_S
 from daemon.recording import topics
+from daemon.service.application import SILENT_IMU_S, START_UP_S, TICK_S
 from daemon.settings import Settings
-from daemon.simulated_run import SimulatedRun
+from daemon.simulation.run import SimulatedRun
 from daemon.stream import Sink, Stream
 from drivers.adis16448.identity import Identity
 from drivers.clock import Clock

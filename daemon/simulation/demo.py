@@ -11,9 +11,9 @@ from daemon.recording.metadata import LEARNED, SNAPSHOT, describe
 from daemon.recording.topics import Recorded
 from daemon.recording.writer import RecordingWriter
 from daemon.settings import Settings
-from daemon.simulated_run import SimulatedRun
-from daemon.simulated_stream import SimulatedStream
-from daemon.virtual import virtual_support
+from daemon.simulation.run import SimulatedRun
+from daemon.simulation.stream import SimulatedStream
+from daemon.simulation.virtual import virtual_support
 from drivers.clock import VirtualClock
 from drivers.virtual.faults import FaultScript
 from drivers.virtual.motion import TrueMove

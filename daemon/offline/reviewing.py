@@ -10,10 +10,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from daemon.offline.replay import ReplayResult, replay
 from daemon.recording import topics
 from daemon.recording.reader import Recording
 from daemon.recording.topics import TOPICS, Health, Recorded, RecordedDisplacement
-from daemon.replay import ReplayResult, replay
 from drivers.adis16448.burst import Burst, Fault
 from estimation.records import CanState, Displacement, Estimate, Event, Segment, Tier
 

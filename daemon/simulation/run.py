@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from daemon.settings import Settings
-from daemon.virtual import ControllerTransmitter, virtual_controller, virtual_part
+from daemon.simulation.virtual import ControllerTransmitter, virtual_controller, virtual_part
 from drivers.acquisition import Block
 from drivers.adis16448.identity import Identity
 from drivers.adis16448.machine import InertialSensor

@@ -1,4 +1,4 @@
-"""The acquiring process: `python -m daemon.imu_child`, started by the daemon, with which it lives and dies."""
+"""The acquiring process: `python -m daemon.imu.child`, started by the daemon, with which it lives and dies."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import sys
 import threading
 from collections import deque
 
-from daemon.imu_messages import Health, LogLine, Orders, receive, send
-from daemon.imu_ports import inertial_sensor
-from daemon.process import settle_process
+from daemon.imu.messages import Health, LogLine, Orders, receive, send
+from daemon.imu.ports import inertial_sensor
+from daemon.service.process import settle_process
 from daemon.settings import Settings
 from drivers.acquisition import Acquisition, Block
 from drivers.adis16448.identity import Identity
@@ -96,7 +96,7 @@ def main() -> None:
     logging.getLogger().setLevel(logging.INFO)
     support = None
     if settings.imu.transport == "virtual":
-        from daemon.virtual import virtual_support
+        from daemon.simulation.virtual import virtual_support
 
         support = virtual_support(settings, start_ns=orders.start_ns)
     sensor = inertial_sensor(settings.imu, SystemClock(), support)

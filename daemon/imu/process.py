@@ -11,7 +11,7 @@ import sys
 import threading
 from collections.abc import Callable
 
-from daemon.imu_messages import Health, LogLine, Orders, receive, send
+from daemon.imu.messages import Health, LogLine, Orders, receive, send
 from daemon.settings import Settings
 from drivers.acquisition import Block
 from drivers.adis16448.counters import Counters
@@ -104,7 +104,7 @@ class ImuProcess:
         self.progress += 1
         self.condition = Condition(Wellness.WAITING, "the acquisition process is being started")
         child = subprocess.Popen(
-            [sys.executable, "-m", "daemon.imu_child"], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+            [sys.executable, "-m", "daemon.imu.child"], stdin=subprocess.PIPE, stdout=subprocess.PIPE
         )
         with self._child_lock:
             self._child, self.pid = child, child.pid

@@ -1,0 +1,1 @@
+"""The inertial sensor's side: acquisition in a thread or a process."""

@@ -1,0 +1,1 @@
+"""The running daemon: event loop, health, viewers, systemd."""

@@ -1,0 +1,1 @@
+"""The virtual support joined to the program: live, simulated, with faults."""
