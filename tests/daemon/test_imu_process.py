@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 import signal
+import statistics
 import subprocess
 import sys
 import threading
@@ -112,9 +113,13 @@ def test_a_parent_that_stalls_loses_nothing(monkeypatch: pytest.MonkeyPatch) -> 
     counters = process.counters
     assert counters.samples == len(bursts)
     assert process.own_counters()["dropped"] == 0
-    period_ns = 1e9 / 819.2
-    steps = [round((b.t_ns - a.t_ns) / period_ns) for a, b in itertools.pairwise(bursts)]
-    assert sum(steps) == len(steps) + counters.missed
+    distances_ns = [b.t_ns - a.t_ns for a, b in itertools.pairwise(bursts)]
+    # The part's own clock: a busy computer misses so many in a row that 3 % would be a sample.
+    period_ns = statistics.median(distances_ns)
+    steps = [round(distance_ns / period_ns) for distance_ns in distances_ns]
+    missed = sum(steps) - len(steps)
+    # Some may have passed between the end of the start and the first read.
+    assert missed <= counters.missed <= missed + 0.1 / (period_ns * 1e-9)
 
 
 def test_no_orphan_remains_when_the_parent_is_killed() -> None:
