@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from estimation.records import Estimate, Move
@@ -35,3 +36,14 @@ def move_row(move: Move) -> dict[str, Any]:
         "can_state": str(move.can_state),
         "tier": str(move.tier),
     }
+
+
+def finite(value: Any) -> Any:
+    """The same with None for NaN and infinity, which JSON does not know."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {key: finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(item) for item in value]
+    return value

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -13,6 +12,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from daemon.rows import finite
 from daemon.rows import move_row as move_row
 from estimation.records import Move
 
@@ -23,17 +23,7 @@ ERR = Console(stderr=True, soft_wrap=True)
 
 def print_json(value: dict[str, Any]) -> None:
     """One object on standard output; NaN and infinity become null."""
-    sys.stdout.write(json.dumps(_finite(value), indent=2) + "\n")
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
-    return value
+    sys.stdout.write(json.dumps(finite(value), indent=2) + "\n")
 
 
 def say(text: str) -> None:

@@ -18,6 +18,15 @@ _REOPEN_S = 1.0
 # registers rest, so that neither an early nor a late clock meets their change at once.
 _AFTER_UPDATE_S = 0.0003
 _LONGEST_MEAN = 1024  # edges: the period is learned to better than 0.1 us, and follows the temperature
+# A line that brings less than half its edges is no use; judged over that long, and not over a few periods.
+_RATE_S = 0.125
+_RATE_PERIODS = 16
+_LEAST_RATE = 0.5
+_STEPS_TO_TRUST = 3  # distances in a row that are a period: four edges that no disturbance imitates
+_MOST_HEARD = 8  # edges listened to before one paced read; a line that has more floats
+# How far off the period may be before and after that many edges: what is less is no lost edge.
+_EDGES_TO_LEARN = 64
+_UNLEARNED, _LEARNED = 0.03, 0.001
 _TOLERANCE = 0.1  # the part's clock is within 3 % of nominal, a stamp 50 us late; beyond it is no period
 _MOST_STALE = 64  # edges looked at to clear a queue; a line that has more floats
 
@@ -37,6 +46,9 @@ class SampleTimer:
         self.line_failures = 0  # times it could not be opened or read
         self.missed_paced = 0  # periods without a read while reads were paced
         self.missed_silent = 0  # periods that passed before a silent line was given up
+        self.missed_unseen = 0  # edges that should have come between two that did
+        self.unheeded = 0  # edges that came while reads were paced and did not end that
+        self.is_sparse = False  # the line was given up because it brings too few edges
         self.line_error = ""
         self._clock = clock
         self._open_line = open_line
@@ -46,6 +58,10 @@ class SampleTimer:
         self._silent_ns = round(max(_SILENT_S * 1e9, _SILENT_PERIODS * self._nominal_ns))
         self._shortest_ns = (1 - _TOLERANCE) * self._nominal_ns
         self._longest_ns = (1 + _TOLERANCE) * self._nominal_ns
+        self._rate_ns = round(max(_RATE_S * 1e9, _RATE_PERIODS * self._nominal_ns))
+        self._rate_start_ns = clock.now_ns()
+        self._rate_edges = 0
+        self._steps = 0  # distances in a row that are a period
         self._last_edge_ns: int | None = None
         self._is_sampling = False
         self._alive_ns = clock.now_ns()  # last edge, or the start
@@ -77,14 +93,14 @@ class SampleTimer:
                 if edge is None:
                     break
                 skipped += edge.missed + 1
-                self._alive_ns = edge.t_ns
-        self._last_edge_ns = None
+        self._forget_edge()
         return skipped
 
     def begin(self) -> None:
         """The part starts to sample now."""
         self._is_sampling = True
-        self._alive_ns = self._clock.now_ns()
+        self._alive_ns = self._rate_start_ns = self._clock.now_ns()
+        self._rate_edges = 0
         if self.is_paced:
             self._due_ns = self._first_due()
 
@@ -117,14 +133,14 @@ class SampleTimer:
                 line.close()
 
     def _paced(self, until_ns: int) -> Edge | None:
-        timeout_s = max(0, min(self._due_ns, until_ns) - self._clock.now_ns()) / 1e9
+        end_ns = min(self._due_ns, until_ns)
         if self._line_is_open():
-            edge = self._wait(timeout_s)
+            edge = self._trusted(end_ns)
             if edge is not None:
-                self.is_paced = False
                 return edge
-        elif timeout_s:
-            self._clock.sleep(timeout_s)
+        ahead_ns = end_ns - self._clock.now_ns()
+        if ahead_ns > 0:
+            self._clock.sleep(ahead_ns / 1e9)
         now_ns = self._clock.now_ns()
         if now_ns < self._due_ns:
             return None
@@ -132,6 +148,21 @@ class SampleTimer:
         self.missed_paced += missed
         self._due_ns += round((missed + 1) * self.period_ns)
         return Edge(now_ns, TimeKind.READ, 0)
+
+    def _trusted(self, end_ns: int) -> Edge | None:
+        """Listen while reads are paced: the edge that ends this, being one of several in step."""
+        for _ in range(_MOST_HEARD):
+            if self._line is None:
+                return None
+            edge = self._wait(max(0, end_ns - self._clock.now_ns()) / 1e9)
+            if edge is None:
+                return None
+            if self._steps >= _STEPS_TO_TRUST:
+                self.is_paced = self.is_sparse = False
+                self._rate_start_ns, self._rate_edges = self._alive_ns, 0
+                return edge
+            self.unheeded += edge.missed + 1
+        return None
 
     def _wait(self, timeout_s: float) -> Edge | None:
         """The line's next edge, from which the period is learned; a line that fails is closed."""
@@ -143,13 +174,34 @@ class SampleTimer:
             return None
         if edge is None:
             return None
+        # A stamp from the future, or from before the last, would spoil the distances to come.
+        t_ns = min(edge.t_ns, self._clock.now_ns())
         if self._last_edge_ns is not None:
-            distance_ns = (edge.t_ns - self._last_edge_ns) / (edge.missed + 1)
-            if self._shortest_ns < distance_ns < self._longest_ns:
-                self._edges = min(self._edges + 1, _LONGEST_MEAN)
-                self.period_ns += (distance_ns - self.period_ns) / self._edges
-        self._last_edge_ns = self._alive_ns = edge.t_ns
+            t_ns = max(t_ns, self._last_edge_ns)
+            self._measure(t_ns - self._last_edge_ns, edge.missed + 1)
+        self._last_edge_ns = self._alive_ns = t_ns
+        self._rate_edges += edge.missed + 1
+        if self._is_sampling and not self.is_paced and t_ns - self._rate_start_ns >= self._rate_ns:
+            if self._rate_edges * self.period_ns < _LEAST_RATE * (t_ns - self._rate_start_ns):
+                self._give_up()
+                self.is_sparse = True
+            self._rate_start_ns, self._rate_edges = t_ns, 0
         return edge
+
+    def _measure(self, distance_ns: int, edges: int) -> None:
+        """What the time in which that many edges came tells of the period, and of edges that did not come."""
+        step_ns = distance_ns / edges
+        if self._is_sampling and not self.is_paced:
+            error = _LEARNED if self._edges >= _EDGES_TO_LEARN else _UNLEARNED
+            self.missed_unseen += max(0, round(distance_ns / (self.period_ns * (1 + error))) - edges)
+        self._steps = self._steps + 1 if abs(step_ns - self.period_ns) < _TOLERANCE * self.period_ns else 0
+        if self._shortest_ns < step_ns < self._longest_ns:
+            self._edges = min(self._edges + 1, _LONGEST_MEAN)
+            self.period_ns += (step_ns - self.period_ns) / self._edges
+
+    def _forget_edge(self) -> None:
+        self._last_edge_ns = None
+        self._steps = 0
 
     def _line_is_open(self) -> bool:
         """Whether there is a line, opened again if it is time to try."""
@@ -175,7 +227,7 @@ class SampleTimer:
             self._due_ns = self._first_due()
             if self._is_sampling:
                 self.missed_silent += int((self._due_ns - self._alive_ns) // self.period_ns) - 1
-            self._last_edge_ns = None
+            self._forget_edge()
 
     def _first_due(self) -> int:
         """In step with the last edge: the next read after an update to come."""

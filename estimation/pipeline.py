@@ -126,8 +126,9 @@ class Pipeline:
         s = self.state
         if s.first_ns is None:
             return  # the first one
+        self._pass_time(change.t_ns, out, even_short=True)
         out.append(Event(change.t_ns, "another inertial sensor: its errors are learned anew"))
-        s.cutter, s.bank, s.new_sensor, s.mount_checked = BlockCutter(), None, True, False
+        s.cutter, s.bank, s.new_sensor, s.mount_checked = BlockCutter(backward=s.cutter.backward), None, True, False
 
     def _feed_reading(self, reading: Displacement, out: list[Output]) -> None:
         s = self.state

@@ -114,7 +114,7 @@ def main() -> None:
         log = (folder / "run.log").read_text()
 
     imu, can = found["health"]["imu"], found["health"]["can"]
-    heard = imu["edge_reads"] + imu["missed"] + imu["missed_starting"]
+    heard = imu["edge_reads"] + imu["missed"] + imu["missed_starting"] + imu["unheeded"]
     report = {
         "exit codes": (run.returncode, sim.returncode),
         "updates of the part": account["part"]["updates"],
@@ -123,7 +123,12 @@ def main() -> None:
             account["part"]["edges_added_by_script"],
         ),
         "edges told to run": account["socket"]["edges"],
-        "edges read, missed, missed while starting": (imu["edge_reads"], imu["missed"], imu["missed_starting"]),
+        "edges read, missed, missed while starting, unheeded": (
+            imu["edge_reads"],
+            imu["missed"],
+            imu["missed_starting"],
+            imu["unheeded"],
+        ),
         "edges unexplained at the last health record": account["socket"]["edges"] - heard,
         "samples, paced": (imu["samples"], imu["paced_reads"]),
         "faults": imu["faults"],

@@ -19,7 +19,11 @@ from estimation.records import CanState, Move, MoveKind
 from tests.acceptance.fault_scene import Outcome, is_ill, play, without_faults
 
 AT_S, FOR_S = 7.0, 2.0  # in the middle of the push, which ends at 12.7 s
-NEEDED: dict[str, dict[str, Any]] = {"jump": {"offset_mm": 30.0}, "drift": {"mm_s": 15.0}}
+NEEDED: dict[str, dict[str, Any]] = {
+    "jump": {"offset_mm": 30.0},
+    "drift": {"mm_s": 15.0},
+    "slow_spi": {"extra_us": 800.0},
+}
 # These kinds show only when the part is tested or asked who it is: the supply dips a moment before.
 NEEDS_A_RESTART = ("self_test_failure", "wrong_product_id")
 CAN_FAULTS = (*get_args(FrameFault), *get_args(BusFault), *get_args(InterfaceFault))

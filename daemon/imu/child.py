@@ -82,8 +82,9 @@ class _Relay(logging.Handler):
 
 def main() -> None:
     """Acquire until the parent closes our standard input, by will or by its end."""
-    # Ctrl-C in a terminal reaches the whole group; the parent decides.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # Ctrl-C in a terminal and the end of a service reach the whole group; the parent decides.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
     orders_in, messages_out = sys.stdin.fileno(), os.dup(sys.stdout.fileno())
     # Nobody's print shall spoil the messages.
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())

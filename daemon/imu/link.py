@@ -48,7 +48,7 @@ class ImuLink:
         self._side.start()
 
     def stop(self) -> None:
-        """End it and wait for that, a second at most; blocks come until it returns."""
+        """End it and wait for that, some seconds at most; blocks come until it returns."""
         self._side.stop()
 
     @property
@@ -65,6 +65,11 @@ class ImuLink:
     def progress(self) -> int:
         """Moves as long as the acquisition lives, even if the sensor is ill."""
         return self._side.progress
+
+    @property
+    def is_behind(self) -> bool:
+        """Whether samples that were read some time ago may still be on their way here."""
+        return self._side.is_behind
 
     def counters(self) -> dict[str, Any]:
         """What happened so far, JSON-able; kinds that never happened are left out of `faults` and `diagnoses`."""
@@ -110,6 +115,10 @@ class _ThreadSide:
     @property
     def notes(self) -> list[str]:
         return self._sensor.notes
+
+    @property
+    def is_behind(self) -> bool:
+        return False  # it stands still together with the rest
 
     def own_counters(self) -> dict[str, int]:
         return {"lost_blocks": self._acquisition.lost_blocks}

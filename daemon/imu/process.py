@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable
 
 from daemon.imu.messages import Health, LogLine, Orders, receive, send
@@ -21,6 +22,9 @@ from drivers.condition import Condition, Wellness
 FIRST_RETRY_S, LONGEST_RETRY_S = 0.5, 5.0
 HANG_S = 5.0  # a living child sends its health four times a second
 START_S = 30.0  # a child that makes a virtual support on a slow computer
+_SLICE_S = 0.5
+BEHIND_S = 0.15  # blocks are handed over within 0.1 s
+SILENCE_S = 0.4  # health comes more often
 _STOP_S = 2.0
 
 _log = logging.getLogger(__name__)
@@ -34,6 +38,8 @@ class ImuProcess:
         self.identity: Identity | None = None
         self.notes: list[str] = []
         self.progress = 0
+        self._heard_s = 0.0  # when the process last sent anything
+        self._lag_s = 0.0  # how old the last samples were when they came
         self.pid: int | None = None  # of the process that acquires now
         self._orders = Orders(settings.model_dump_json(), start_ns)
         self._on_block = on_block
@@ -69,6 +75,13 @@ class ImuProcess:
         past, present = self._counters
         return past.plus(present)
 
+    @property
+    def is_behind(self) -> bool:
+        """Whether samples may still be in the pipe: this process stood still, the other one did not."""
+        if self.pid is None:
+            return False
+        return self._lag_s > BEHIND_S or time.monotonic() - self._heard_s > SILENCE_S
+
     def own_counters(self) -> dict[str, int]:
         """Of this side."""
         return {
@@ -87,6 +100,10 @@ class ImuProcess:
                     retry_s = FIRST_RETRY_S
             except OSError as error:
                 why = f"cannot be started: {error}"
+            except Exception as error:
+                why = f"met a fault of the program ({type(error).__name__}: {error})"
+                if not self._stopping.is_set():
+                    _log.exception("inertial sensor: a fault of the program, which goes on")
             if self._stopping.is_set():
                 break
             self.condition = Condition(
@@ -95,8 +112,15 @@ class ImuProcess:
                 'look for its last words in the log; if that goes on, set acquisition = "thread" in [imu]',
             )
             _log.warning("inertial sensor: %s", self.condition.what)
-            self._stopping.wait(retry_s)
+            self._pause(retry_s)
             retry_s = min(2 * retry_s, LONGEST_RETRY_S)
+
+    def _pause(self, seconds: float) -> None:
+        """Wait, and show meanwhile that this thread lives."""
+        for _ in range(round(seconds / _SLICE_S)):
+            self.progress += 1
+            if self._stopping.wait(_SLICE_S):
+                break
 
     def _live_once(self) -> str:
         """Start a process and listen to it to its end; returns what ended it."""
@@ -142,6 +166,7 @@ class ImuProcess:
         patience_s, progress = START_S, 0
         while (message := receive(fd, patience_s)) is not None:
             patience_s = HANG_S
+            self._heard_s = time.monotonic()
             if isinstance(message, Health):
                 self.condition, self.identity, self.notes = message.condition, message.identity, message.notes
                 self._counters = (self._counters[0], message.counters)
@@ -154,6 +179,7 @@ class ImuProcess:
                 self._hand_over(message)
 
     def _hand_over(self, block: Block) -> None:
+        self._lag_s = time.monotonic() - block[-1].t_ns * 1e-9
         try:
             self._on_block(block)
         except Exception:

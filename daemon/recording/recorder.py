@@ -81,10 +81,9 @@ class Recorder:
         return len(self._queue)
 
     @property
-    def accounted(self) -> int:
-        """Messages that are in a file or counted as lost: while some are queued, a thread that lives counts on."""
-        counters = self._series.counters
-        return counters.messages + counters.dropped if self._thread.is_alive() else 0
+    def has_died(self) -> bool:
+        """Whether the writing thread ended although it should not."""
+        return self._accepting and not self._thread.is_alive()
 
     def start(self) -> None:
         """Begin the first file; does nothing when the settings say not to record."""

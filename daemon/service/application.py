@@ -18,7 +18,7 @@ from daemon.recording import topics
 from daemon.recording.metadata import LEARNED, SNAPSHOT, Preamble, describe, program_version, wall_offset_ns
 from daemon.recording.recorder import Recorder
 from daemon.recording.topics import Health, Recorded
-from daemon.rows import estimate_row, move_row
+from daemon.rows import estimate_row, finite, move_row
 from daemon.service import state_file
 from daemon.service.health import (
     HealthBook,
@@ -51,7 +51,8 @@ SILENT_IMU_S = 0.25
 # The part is reset, tested and configured meanwhile: not silent yet, and what is known of the stroke still holds.
 START_UP_S = 10.0
 LIVE_ESTIMATE_S = 0.1
-RECORDER_PATIENCE_S = 30.0  # longer than its queue can last
+STOOD_STILL_S = 0.15  # later than this the loop counts as having stood still
+CATCH_UP_S = 1.0
 SAVE_STATE_S = 5.0
 
 _log = logging.getLogger(__name__)
@@ -84,6 +85,9 @@ class Application:
             self._bus = CanBus(settings.can, self._take_frame, self._clock, ids)
         self._encoder = EstimateEncoder(settings.can.publish)
         self._blocks: deque[list[Burst | Identity]] = deque()
+        self._frames: deque[Frame] = deque()
+        self._ticked_s = time.monotonic()
+        self._catch_up_until_s = 0.0
         self._publish_due_ns = 0
         self._live_due_ns = 0
         self._steps = 0
@@ -93,6 +97,7 @@ class Application:
         self._health_book = HealthBook()
         self._recorder_health = RecorderHealth(self._recorder, settings.recording.enabled)
         self._watchdog = self._make_watchdog()
+        self._laggards: set[str] = set()
         self._loop: asyncio.AbstractEventLoop | None = None
         self._failure: BaseException | None = None
 
@@ -188,21 +193,40 @@ class Application:
                 self._fail(error)
 
     def _take_frame(self, frame: Frame) -> None:
+        self._frames.append(frame)
         self._take_blocks()
+        self._take_frames()
+
+    def _take_frames(self) -> None:
+        """Take the frames, unless older samples are still on their way: they would come too late for the estimator."""
+        if self._is_catching_up():
+            return
         with self._loop_watch.doing("CAN frames"):
-            self._stream.take(topics.CAN_RX, frame)
+            while self._frames:
+                self._stream.take(topics.CAN_RX, self._frames.popleft())
+
+    def _is_catching_up(self) -> bool:
+        """After the loop stood still, for a moment: the acquiring process, if there is one, did not."""
+        now_s = time.monotonic()
+        if now_s - self._ticked_s > TICK_S + STOOD_STILL_S:
+            self._catch_up_until_s = now_s + CATCH_UP_S
+        return now_s < self._catch_up_until_s and self._imu.is_behind
 
     async def _tick(self) -> None:
         """Let time pass in the estimator while the sensor is silent; measure how late the loop is."""
         due_s = time.monotonic()
         started_ns = self._clock.now_ns() + round((START_UP_S - SILENT_IMU_S) * 1e9)
         while True:
-            due_s += TICK_S
-            await asyncio.sleep(max(due_s - time.monotonic(), 0.0))
+            due_s = max(due_s + TICK_S, time.monotonic())  # what was slept through is not made up for
+            await asyncio.sleep(due_s - time.monotonic())
             self._loop_watch.woke(due_s)
-            due_s = max(due_s, time.monotonic() - 1.0)
-            now_ns = self._clock.now_ns()
             self._take_blocks()
+            waiting = self._is_catching_up()
+            self._ticked_s = time.monotonic()
+            if waiting:
+                continue
+            self._take_frames()
+            now_ns = self._clock.now_ns()
             last_ns = self._stream.last_sample_ns or started_ns
             if now_ns - last_ns > SILENT_IMU_S * 1e9:
                 self._stream.take(topics.TICK, Tick(now_ns))
@@ -258,13 +282,20 @@ class Application:
             await asyncio.sleep(HEALTH_S)
             with self._loop_watch.doing("health"):
                 self._worst_lateness = self._loop_watch.take()
-                health = self.health()
-                self._recorder.write(topics.HEALTH, Health(self._clock.now_ns(), json.dumps(health)))
-                self._live.push("status", health)
                 laggards = self._watchdog.laggards(time.monotonic())
+                health = self.health() | {"standing_still": {name: round(s, 1) for name, s in laggards.items()}}
+                self._tell_laggards(laggards)
+                self._recorder.write(topics.HEALTH, Health(self._clock.now_ns(), json.dumps(finite(health))))
+                self._live.push("status", finite(health))
                 self._notifier.status(status_line(health, laggards))
                 if not laggards:
                     self._notifier.watchdog()
+
+    def _tell_laggards(self, laggards: dict[str, float]) -> None:
+        """Into the log, which outlives what systemd will do."""
+        for name in laggards.keys() - self._laggards:
+            _log.error("%s has stood still for %.0f s: systemd will start the program anew", name, laggards[name])
+        self._laggards = set(laggards)
 
     def _make_watchdog(self) -> Watchdog:
         watchdog = Watchdog()
@@ -273,13 +304,8 @@ class Application:
             bus = self._bus
             watchdog.watch("can", lambda: bus.progress)
         watchdog.watch("estimator", lambda: self._steps, expected=lambda: self._stream.last is not None)
-        # A disk that hangs is no reason to stop: its queue fills, then losses are counted.
-        watchdog.watch(
-            "recorder",
-            lambda: self._recorder.accounted,
-            expected=lambda: self._recorder.queued > 0,
-            patience_s=RECORDER_PATIENCE_S,
-        )
+        # A disk that hangs is no reason to stop: its queue fills, then losses are counted. A thread that died is one.
+        watchdog.watch("recorder", lambda: 0, expected=lambda: self._recorder.has_died)
         return watchdog
 
     def health(self) -> dict[str, Any]:
@@ -296,7 +322,12 @@ class Application:
             | ({} if self._bus is None else self._bus.report()),
             "displacement": book.note("displacement", sensor, now_s) | ({} if source is None else source.counters()),
             "estimator": book.note("estimator", estimate_condition(last, self._settings.support.stroke_mm / 1e3), now_s)
-            | {"samples": stream.samples, "bad_samples": stream.bad_bursts, "steps": self._steps},
+            | {
+                "samples": stream.samples,
+                "bad_samples": stream.bad_bursts,
+                "late_samples": stream.pipeline.state.cutter.backward,
+                "steps": self._steps,
+            },
             "recorder": book.note("recorder", self._recorder_health.condition(now_s), now_s)
             | asdict(self._recorder.counters)
             | {"queued": self._recorder.queued},

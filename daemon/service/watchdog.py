@@ -12,7 +12,6 @@ PATIENCE_S = 4.0  # without progress; systemd then waits WatchdogSec more before
 class _Part:
     progress: Callable[[], int]
     expected: Callable[[], bool]
-    patience_s: float
     count: int = -1
     since_s: float = 0.0
 
@@ -32,10 +31,9 @@ class Watchdog:
         progress: Callable[[], int],
         *,
         expected: Callable[[], bool] = lambda: True,
-        patience_s: float | None = None,
     ) -> None:
-        """Expect `progress()` to move within `patience_s` (PATIENCE_S) while `expected()`."""
-        self.parts[name] = _Part(progress, expected, PATIENCE_S if patience_s is None else patience_s)
+        """Expect `progress()` to move while `expected()`."""
+        self.parts[name] = _Part(progress, expected)
 
     def laggards(self, now_s: float) -> dict[str, float]:
         """The parts that stand still, and for how long [s]; look once a second."""
@@ -44,6 +42,6 @@ class Watchdog:
             count = part.progress()
             if count != part.count or not part.expected():
                 part.count, part.since_s = count, now_s
-            elif now_s - part.since_s >= part.patience_s:
+            elif now_s - part.since_s >= PATIENCE_S:
                 standing[name] = now_s - part.since_s
         return standing

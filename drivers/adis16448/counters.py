@@ -14,7 +14,7 @@ FAULT_NAMES: dict[Fault, str] = {fault: fault.name.lower() for fault in Fault if
 
 @dataclass(slots=True)
 class Counters:
-    """Plain numbers. Edges of the data-ready line = `edge_reads` + `missed` + `missed_starting`."""
+    """Plain numbers. Edges of the data-ready line = `edge_reads` + `missed` + `missed_starting` + `unheeded`."""
 
     samples: int = 0  # bursts read, good or bad
     edge_reads: int = 0  # of these: announced by an edge
@@ -22,6 +22,8 @@ class Counters:
     missed: int = 0  # edges whose sample nobody read
     missed_paced: int = 0  # periods without a read while reads were paced
     missed_silent: int = 0  # periods that passed before a silent line was given up
+    missed_unseen: int = 0  # edges that should have come and did not: the wire lost them
+    unheeded: int = 0  # edges that came while reads were paced, before the line was trusted again
     missed_starting: int = 0  # edges that passed while the part was being started
     starts: int = 0  # times the part began to deliver
     other_parts: int = 0  # times it was another part than before

@@ -55,6 +55,10 @@ class ImuError(RuntimeError):
         self.advice = advice
 
 
+class ChecksumMissing(ImuError):
+    """Bursts should carry a checksum and none is right: a bad wire, or silicon that sends none."""
+
+
 class Adis16448:
     """One ADIS16448 at an SPI port.
 
@@ -120,23 +124,30 @@ class Adis16448:
             )
         return failures
 
-    def configure(self) -> list[str]:
+    def configure(self, *, may_lack_crc: bool = False) -> list[str]:
         """Write the register table, read it back, and find out whether bursts carry a checksum.
 
-        Returns sentences that a person should know although the part works. Writes only bytes that differ and
-        never updates the flash memory, which wears.
+        Old silicon ignores the bit that asks for one. A part that takes the bit and sends none is believed only
+        if `may_lack_crc`: a bad wire looks the same; else ChecksumMissing. Returns sentences that a person should
+        know although the part works. Writes only bytes that differ and never updates the flash memory, which wears.
         """
         self._use_crc(False)
         for bits in register_bits(self.settings, crc=False):
             self._apply(bits)
         if self.settings.burst_crc == "off":
             return []
-        if self._probe_crc():
+        takes_bit = self._ask_for_crc()
+        if takes_bit and self._probe_crc():
             self._use_crc(True)
             return []
         if self.settings.burst_crc == "on":
             raise ImuError(
                 "the part sends no valid burst checksum (old silicon or a bad wire)", 'set burst_crc = "auto" in [imu]'
+            )
+        if takes_bit and not may_lack_crc:
+            raise ChecksumMissing(
+                "the part takes the setting for burst checksums, but those that arrive are wrong",
+                "check the wires SCLK, DOUT (MISO) and ground for length and contact",
             )
         self._write_byte(REGISTERS["MSC_CTRL"].address, self._read_settled("MSC_CTRL") & 0xFF & ~MSC_BURST_CRC)
         return ["the part sends no burst checksum (old silicon): only its time tells that a burst was torn"]
@@ -147,23 +158,18 @@ class Adis16448:
         """Read the sample of that time; what is wrong with it shows in its `fault`."""
         return bursts.parse(self._frame(self._request), t_ns, time_kind)
 
-    def wrong_register(self, *, all_of_them: bool = False) -> str | None:
-        """Check the next register of the table, or the whole table; a sentence if one lost its setting.
+    def wrong_register(self) -> str | None:
+        """Check the next register of the table; a sentence if it lost its setting.
 
         A mismatch may be the wire's: it counts only if a second read says the same.
         """
-        if all_of_them:
-            lines = self._table
-        else:
-            self._turn = (self._turn + 1) % len(self._table)
-            lines = self._table[self._turn : self._turn + 1]
-        for bits, value in zip(lines, self.read_registers(*(bits.register for bits in lines)), strict=True):
-            if bits.holds_in(value):
-                continue
-            if self.read_register(bits.register) == value:
-                wanted = bits.applied_to(value)
-                return f"register {_label(bits.register)} was set to 0x{wanted:04X} and reads 0x{value:04X}"
-        return None
+        self._turn = (self._turn + 1) % len(self._table)
+        bits = self._table[self._turn]
+        value = self.read_register(bits.register)
+        if bits.holds_in(value) or self.read_register(bits.register) != value:
+            return None
+        wanted = bits.applied_to(value)
+        return f"register {_label(bits.register)} was set to 0x{wanted:04X} and reads 0x{value:04X}"
 
     # --- registers --------------------------------------------------------------------------------------------
 
@@ -210,11 +216,13 @@ class Adis16448:
                 likely_cause(read),
             )
 
-    def _probe_crc(self) -> bool:
+    def _ask_for_crc(self) -> bool:
+        """Whether the part takes the bit."""
         control = REGISTERS["MSC_CTRL"].address
         self._write_byte(control, self._read_settled("MSC_CTRL") & 0xFF | MSC_BURST_CRC)
-        if not self._read_settled("MSC_CTRL") & MSC_BURST_CRC:
-            return False
+        return bool(self._read_settled("MSC_CTRL") & MSC_BURST_CRC)
+
+    def _probe_crc(self) -> bool:
         matches = 0
         for _ in range(_CRC_BURSTS):
             self._clock.sleep(_CRC_PAUSE_S)

@@ -9,13 +9,13 @@ from __future__ import annotations
 import contextlib
 import logging
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from drivers.adis16448.burst import Burst, Fault
 from drivers.adis16448.configuration import ImuSettings
 from drivers.adis16448.counters import FAULT_NAMES, Counters
-from drivers.adis16448.device import Adis16448, ImuError
+from drivers.adis16448.device import Adis16448, ChecksumMissing, ImuError
 from drivers.adis16448.identity import Identity
 from drivers.adis16448.quality import WORDS, QualityWatch
 from drivers.adis16448.sampler import Sampler
@@ -39,8 +39,8 @@ _SELF_TEST_LIMIT_S = 1.0
 _POLL_S = 0.005
 _PORT_ATTEMPTS = 3  # transfers that fail in a row; then the port is opened anew
 _CHECK_NS = 100_000_000  # one register
-_CHECK_ALL_NS = 50_000_000  # all registers after a bad sample, at most that often
 _MOST_OPEN_FAULTS = 10
+_FAILURES_TO_BELIEVE = 3  # in a row, of the self-test or of the checksum: then they are the part's, not the wire's
 _STEADY_S = 1.0  # a part that delivers so long ends the growth of the pauses
 _RESTART_TOLD_NS = 10_000_000_000
 _JUDGE_NS = 250_000_000
@@ -62,6 +62,16 @@ class State(StrEnum):
     CONFIGURE = "configuration"
     RUN = "running"
     RECOVER = "pause before another reset"
+
+
+@dataclass(slots=True)
+class _Past:
+    """What one part did since the program started."""
+
+    passed_test: bool = False
+    failed_tests: int = 0  # in a row
+    sent_crc: bool = False
+    missing_crcs: int = 0  # starts in a row
 
 
 class InertialSensor:
@@ -116,12 +126,14 @@ class InertialSensor:
         self._attempts = 0  # to identify
         self._met: Identity | None = None  # on the way to data
         self._tested: Identity | None = None  # passed the self-test, and reachable ever since
+        self._pasts: dict[tuple[int, int], _Past] = {}  # by lot and serial number
         self._test_notes: list[str] = []
+        self._test_failure: tuple[str, str] | None = None  # of the part that is used all the same
         self._test_limit_ns = 0
         self._restart_reason: tuple[str, str] | None = None
 
         self._running_ns = 0  # start of the run
-        self._check_ns = self._check_all_ns = self._judge_ns = 0
+        self._check_ns = self._judge_ns = 0
 
     def read_block(self) -> list[Burst | Identity]:
         """The next samples, at most a block; fewer, even none, if they take longer than 0.1 s to come.
@@ -133,6 +145,7 @@ class InertialSensor:
         try:
             if self.state is State.RUN or self._is_time():
                 self._steps[self.state](items)
+            self._supervise()
         except SpiError as error:
             self._port_failed(error)
         except ImuError as error:
@@ -145,8 +158,8 @@ class InertialSensor:
             if self.counters.errors == 1:
                 _log.exception("inertial sensor: a fault of the program, which goes on")
             state = State.WAIT_FOR_PORT if self._opened is None else State.RECOVER
-            self._pause(state, f"a fault of the program ({self.counters.last_error})", "report it")
-        self._supervise()
+            self._restart_reason = (f"a fault of the program ({self.counters.last_error})", "report it")
+            self._pause(state, *self._restart_reason)
         return items
 
     def close(self) -> None:
@@ -154,7 +167,8 @@ class InertialSensor:
         self._quiet.flush(at_end=True)
         self._timer.close()
         if self._port is not None:
-            self._port.close()
+            with contextlib.suppress(OSError):  # a port that failed may refuse even that
+                self._port.close()
 
     # --- the way to data --------------------------------------------------------------------------------------
 
@@ -192,24 +206,63 @@ class InertialSensor:
             self._enter(State.SELF_TEST)
 
     def _self_test(self, _: list[Burst | Identity]) -> None:
+        self._test_failure = None
         self._device.begin_self_test()
         duration_s = SELF_TEST_S * (1 << self._settings.decimation_exponent)
         self._test_limit_ns = self._clock.now_ns() + round((duration_s + _SELF_TEST_LIMIT_S) * 1e9)
         self._enter(State.VERDICT, duration_s)
 
     def _verdict(self, _: list[Burst | Identity]) -> None:
-        notes = self._device.self_test_verdict()
-        if notes is not None:
-            self._test_notes = notes
-            self._tested = self._met
-            self._enter(State.CONFIGURE)
-        elif self._clock.now_ns() > self._test_limit_ns:
-            raise ImuError(f"the self-test did not end within {_SELF_TEST_LIMIT_S:g} s", "replace the sensor")
-        else:
+        try:
+            notes = self._device.self_test_verdict()
+            if notes is None and self._clock.now_ns() > self._test_limit_ns:
+                raise ImuError(f"the self-test did not end within {_SELF_TEST_LIMIT_S:g} s", "replace the sensor")
+        except ImuError as error:
+            self._confirm_identity()
+            self._failed_test(error)
+            return
+        if notes is None:
             self._enter(State.VERDICT, _POLL_S)
+            return
+        self._confirm_identity()
+        past = self._past()
+        past.passed_test, past.failed_tests = True, 0
+        self._test_notes = notes
+        self._tested = self._met
+        self._enter(State.CONFIGURE)
+
+    def _confirm_identity(self) -> None:
+        """Was it the part that gave the verdict, or a bad wire? Zeros read as a test that was passed."""
+        try:
+            self._device.identify()
+        except ImuError:
+            self.counters.wrong_id += 1
+            self._enter(State.IDENTIFY)  # what failed was not the test
+            raise
+
+    def _failed_test(self, error: ImuError) -> None:
+        """Try again, or use the part all the same: ill data are better than none, and are said to be ill."""
+        past = self._past()
+        past.failed_tests += 1
+        if not past.passed_test and past.failed_tests < _FAILURES_TO_BELIEVE:
+            raise error
+        self.counters.failed_self_tests += 1
+        self._test_failure = (f"{error.what}: its data are used all the same", error.advice)
+        self._test_notes = [self._test_failure[0]]
+        # The reset ends a test that hangs; the way from there leads past another one.
+        self._tested = self._met
+        self._enter(State.RESET)
 
     def _configure(self, items: list[Burst | Identity]) -> None:
-        self.notes = self._test_notes + self._device.configure()
+        past = self._past()
+        try:
+            may_lack_crc = not past.sent_crc and past.missing_crcs >= _FAILURES_TO_BELIEVE
+            self.notes = self._test_notes + self._device.configure(may_lack_crc=may_lack_crc)
+        except ChecksumMissing:
+            past.missing_crcs += 1
+            raise
+        if self._device.crc_active:
+            past.sent_crc, past.missing_crcs = True, 0
         for note in self.notes:
             self._quiet.say(logging.WARNING, f"inertial sensor: {note}")
         assert self._met is not None
@@ -229,7 +282,7 @@ class InertialSensor:
             self._quiet.say(logging.WARNING, f"inertial sensor: another part, serial {self.identity.serial}")
         self._sampler.begin()
         self._running_ns = now_ns
-        self._check_ns = self._check_all_ns = now_ns + _CHECK_NS
+        self._check_ns = now_ns + _CHECK_NS
         self._judge_ns = now_ns
         self._timer.begin()
         self._enter(State.RUN)
@@ -265,15 +318,14 @@ class InertialSensor:
                 self._give_port_up(self.counters.last_error)
             else:
                 self._restart(what, advice)
-        elif fault not in _DEAD_WIRE and not sampler.port_errors and now_ns >= self._check_all_ns:
-            self._check_all_ns = now_ns + _CHECK_ALL_NS
-            self._check(now_ns, all_of_them=True)
+        elif fault not in _DEAD_WIRE and not sampler.port_errors:
+            self._check(now_ns)
 
-    def _check(self, now_ns: int, *, all_of_them: bool = False) -> None:
-        """Are the settings still there? A supply that failed for a moment has put the registers to defaults."""
+    def _check(self, now_ns: int) -> None:
+        """Is the next setting still there? A supply that failed for a moment has put the registers to defaults."""
         self._check_ns = now_ns + _CHECK_NS
         try:
-            wrong = self._device.wrong_register(all_of_them=all_of_them)
+            wrong = self._device.wrong_register()
         except SpiError as error:
             self.counters.failed_checks += 1
             self.counters.last_error = str(error)
@@ -281,6 +333,11 @@ class InertialSensor:
         if wrong is not None:
             self.counters.wrong_registers += 1
             self._restart(f"the part lost its settings ({wrong})", "check the sensor's supply")
+
+    def _past(self) -> _Past:
+        """Of the part that answers now."""
+        assert self._met is not None
+        return self._pasts.setdefault((self._met.lot_id, self._met.serial), _Past())
 
     @property
     def _device(self) -> Adis16448:
@@ -332,21 +389,26 @@ class InertialSensor:
             self._enter(State.RECOVER, _IDENTIFY_PAUSE_S)
 
     def _supervise(self) -> None:
-        """Counters and condition, several times a second."""
+        """Counters, and several times a second the condition."""
+        timer, counters = self._timer, self.counters
+        counters.silences, counters.line_failures = timer.silences, timer.line_failures
+        counters.missed_paced, counters.missed_silent = timer.missed_paced, timer.missed_silent
+        counters.missed_unseen, counters.unheeded = timer.missed_unseen, timer.unheeded
         now_ns = self._clock.now_ns()
         if now_ns < self._judge_ns:
             return
         self._judge_ns = now_ns + _JUDGE_NS
-        timer, counters = self._timer, self.counters
-        counters.silences, counters.line_failures = timer.silences, timer.line_failures
-        counters.missed_paced, counters.missed_silent = timer.missed_paced, timer.missed_silent
         self._quiet.flush()
         complaints = self._quality.complaints(now_ns)
         if self.state is not State.RUN:
             return
         if timer.has_line and timer.is_paced:
             complaints.insert(0, self._about_line())
-        if self._restart_reason is not None and now_ns - self._running_ns < _RESTART_TOLD_NS:
+        if self._test_failure is not None:
+            complaints.append(self._test_failure)
+        if now_ns - self._running_ns >= _RESTART_TOLD_NS:
+            self._restart_reason = None
+        elif self._restart_reason is not None:
             what, advice = self._restart_reason
             complaints.append((f"the part was started anew: {what}", advice))
         if now_ns - self._running_ns >= _STEADY_S * 1e9:
@@ -357,7 +419,8 @@ class InertialSensor:
             self._tell(OK)
 
     def _about_line(self) -> tuple[str, str]:
-        what = self._timer.line_error or "the data-ready line is silent"
+        trouble = "brings too few edges" if self._timer.is_sparse else "is silent"
+        what = self._timer.line_error or f"the data-ready line {trouble}"
         pin = self._settings.data_ready_pin
         return f"{what}: reads are paced", f"check the wire from DIO{pin} to the GPIO line, and data_ready_* in [imu]"
 

@@ -31,6 +31,7 @@ _DIAGNOSIS_ADVICE = {
 }
 
 _TOO_LATE = 'lessen the load of this computer, or set realtime_priority or acquisition = "process" in [imu]'
+_UNSEEN = "unseen"
 _MISSED = ("samples are missed: reads come too late", _TOO_LATE)
 WORDS: dict[str, tuple[str, str]] = {
     FAULT_NAMES[Fault.CRC]: (
@@ -52,6 +53,10 @@ WORDS: dict[str, tuple[str, str]] = {
     FAULT_NAMES[Fault.SPI]: (
         "transfers fail",
         "check the SPI port of this computer and the wires SCLK and CS",
+    ),
+    _UNSEEN: (
+        "edges of the data-ready line do not arrive",
+        "check the data-ready wire for contact and disturbance, and data_ready_* in [imu]",
     ),
     FAULT_NAMES[Fault.TORN]: ("samples are torn: reads meet the next sample", _TOO_LATE),
     FAULT_NAMES[Fault.OUT_OF_RANGE]: (
@@ -98,10 +103,15 @@ class QualityWatch:
 
     def _judge(self) -> None:
         counters = self._counters
-        now = {**counters.faults, "missed": counters.missed + counters.missed_paced, "samples": counters.samples}
+        now = {
+            **counters.faults,
+            "missed": counters.missed + counters.missed_paced,
+            _UNSEEN: counters.missed_unseen + counters.missed_silent,
+            "samples": counters.samples,
+        }
         self._marks.append(now)
         lost = {kind: now[kind] - self._marks[0][kind] for kind in now}
-        samples = lost.pop("samples") + lost["missed"]
+        samples = lost.pop("samples") + lost["missed"] + lost[_UNSEEN]
         bad = sum(lost.values())
         if self._is_ill:
             self._is_ill = bad > _WELL_SHARE * samples

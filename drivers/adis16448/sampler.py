@@ -65,7 +65,7 @@ class Sampler:
             counters.missed += edge.missed
             # An edge before the last read, or too soon after the last edge, announces nothing new.
             is_doubtful = t_ns < self._last_start_ns or t_ns - self._last_edge_ns < timer.period_ns / 2
-            self._last_edge_ns = t_ns
+            self._last_edge_ns = min(t_ns, start_ns)
             if late_ns < 0:
                 # A stamp from the future is no stamp; it would hold up all that follow.
                 kind, t_ns = TimeKind.READ, start_ns

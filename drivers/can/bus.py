@@ -9,13 +9,13 @@ an AsyncBufferedReader waits for ever: a spinning loop and silence (python-can 4
 from __future__ import annotations
 
 import asyncio
-import time
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import asdict
 from typing import Any
 
 import can
 
+from drivers.can.arrival import ArrivalTimes
 from drivers.can.diagnosis import Failure, LinkFacts, diagnose, failure_of
 from drivers.can.error_frames import BUS_OFF
 from drivers.can.error_tally import ErrorTally
@@ -34,7 +34,6 @@ FIRST_BACKOFF_S = 0.1
 LONGEST_BACKOFF_S = 5.0
 SUPERVISE_S = 1.0  # how often the task shows that it lives and asks about an interface that is silent
 SILENT_S = 5.0  # no source worth waiting for pauses as long, unless its time-out says so
-OLDEST_STAMP_S = 0.05  # an older kernel stamp rather means that the wall clock was set
 EMPTY_WAKES = 100  # a descriptor that is readable as often without giving a frame is broken
 
 
@@ -77,7 +76,7 @@ class CanBus:
         self._backoff = backoff_s()
         self._next_try_ns = 0  # of `drain`
         self._supervised_ns = 0  # by `drain`
-        self._last_t_ns = 0
+        self._arrivals = ArrivalTimes(clock)
         self._reads = self._reads_before = 0  # messages read, now and at the last supervision
         self._empty_wakes = 0
         self._send_error = ""
@@ -235,6 +234,7 @@ class CanBus:
 
     async def _receive_until_failure(self, opened: OpenedBus) -> None:
         try:
+            self._arrivals.restart()
             reader = PacedReader(opened.bus.fileno(), lambda: self._read_batch(opened))
             reader.start()
         except (OSError, ValueError, NotImplementedError) as error:  # no descriptor, or none to wait for
@@ -244,6 +244,7 @@ class CanBus:
                 await asyncio.wait([reader.failed], timeout=SUPERVISE_S)
                 if reader.failed.done():
                     reader.failed.result()
+                self.counters.clock_steps += self._arrivals.check()
                 self._supervise(opened)
         finally:
             reader.stop()
@@ -257,7 +258,7 @@ class CanBus:
                 if self._empty_wakes >= EMPTY_WAKES:
                     raise self._failed("always readable, but without a frame")
                 return False
-            frame = self._intake.take(message, self._arrival_ns(message))
+            frame = self._intake.take(message, self._arrivals.of(message.timestamp))
             if frame is not None:
                 self._on_frame(frame)
         return True
@@ -296,14 +297,6 @@ class CanBus:
         self.counters.failures += 1
         self._failure = failure.failure
         self.last_error = failure.failure.what
-
-    def _arrival_ns(self, message: can.Message) -> int:
-        """Monotonic arrival time: the kernel's stamp (wall clock) if it is plausible, else now."""
-        now_ns = self._clock.now_ns()
-        age_s = time.time() - message.timestamp
-        t_ns = now_ns - round(age_s * 1e9) if 0 <= age_s <= OLDEST_STAMP_S else now_ns
-        self._last_t_ns = max(self._last_t_ns, t_ns)
-        return self._last_t_ns
 
     def _failed(self, reason: Exception | str) -> _BusFailure:
         if isinstance(reason, InterfaceFault):

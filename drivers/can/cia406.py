@@ -19,6 +19,8 @@ _EMCY_BASE = 0x080
 _TPDO1_BASE = 0x180
 _HEARTBEAT_BASE = 0x700
 _EMERGENCY_HEAD = struct.Struct("<HB")  # error code, error register
+_COMMUNICATION_CLASSES = (0x81, 0x82)  # CAN overrun, missing heartbeat, PDO length ...: the position is sound
+_GENERIC_BIT, _COMMUNICATION_BIT = 0x01, 0x10  # of the error register (object 1001h)
 _GUARDING_TOGGLE = 0x80  # a node that is guarded instead of beating alternates this bit
 
 
@@ -41,10 +43,12 @@ def heartbeat_id(node: int) -> FrameId:
 class NodeWatch:
     """Remembers whether a node has an emergency pending, and its state.
 
-    An emergency ends when the node reports "no error" with an empty error register, or when it boots anew.
+    An emergency ends when the node reports "no error" with an empty error register, or when it boots anew. One
+    about communication speaks of the bus and not of the position, so it is kept apart.
     """
 
     error_code: Count | None = None  # CiA 301 emergency error code, None = no emergency
+    communication_code: Count | None = None  # the same, of communication and protocol
     error_register: Count = 0
     state: Count | None = None  # of the last heartbeat or boot-up message
     heard_ns: TimeNs = 0  # when that came
@@ -64,11 +68,17 @@ class NodeWatch:
             return
         self.emergencies += 1
         code, self.error_register = _EMERGENCY_HEAD.unpack_from(data)
+        if code >> 8 in _COMMUNICATION_CLASSES:
+            self.communication_code = code
+        elif code >> 8:
+            self.error_code = code
         # Code 0x00xx says that one error went away; the register tells whether others remain.
-        is_clear = code >> 8 == 0 and self.error_register == 0
-        self.error_code = None if is_clear else code
+        elif self.error_register & ~_GENERIC_BIT == _COMMUNICATION_BIT:
+            self.error_code, self.communication_code = None, code
+        else:
+            self.error_code, self.communication_code = code if self.error_register else None, None
 
     def _observe_heartbeat(self, state: int, t_ns: int) -> None:
         if state == BOOT_UP:
-            self.error_code, self.error_register = None, 0
+            self.error_code, self.communication_code, self.error_register = None, None, 0
         self.state, self.heard_ns = state & ~_GUARDING_TOGGLE, t_ns

@@ -17,9 +17,9 @@ from drivers.can.settings import CanConfigError, DisplacementSettings
 # Real files stay below 2 MB; a larger one would hold up the start for minutes.
 _LARGEST_DBC_BYTES = 8_000_000
 _NAMES_SHOWN = 12
-# Divided by, not multiplied with a fraction: 347 mm / 1000 is exactly the float 0.347.
 # What a CAN FD frame can hold beyond a classic one (ISO 11898-1); shorter messages are padded.
 _FD_LENGTHS = (8, 12, 16, 20, 24, 32, 48, 64)
+# Divided by, not multiplied with a fraction: 347 mm / 1000 is exactly the float 0.347.
 _UNITS_PER_METRE = {"m": 1, "cm": 100, "mm": 1000, "um": 1_000_000, "µm": 1_000_000, "μm": 1_000_000}
 
 

@@ -133,6 +133,8 @@ class DisplacementDecoder:
             what = f"frames {source.frame_id} cannot be decoded: {error}"
             return self._reading(frame, math.nan, ReadingFault.MALFORMED, what)
         fault, what = self._check_protection(frame, raw)
+        memory = self._memory
+        memory.rate.signs += fault is not ReadingFault.NONE or memory.counter.lost_ns == frame.t_ns
         if source.signal.name not in raw:  # another page of a multiplexed message
             self._note(frame, fault, what)
             return None

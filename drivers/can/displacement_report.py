@@ -26,6 +26,10 @@ _ADVICE = {
     "`minimum_mm` or `maximum_mm`",
 }
 
+_COMMUNICATION_ADVICE = (
+    "its position still counts; check cable, termination, bit rate and load of the bus, and the network's master"
+)
+
 
 @dataclass(slots=True, frozen=True)
 class DisplacementReport:
@@ -39,7 +43,7 @@ class DisplacementReport:
     invalid: int
     out_of_range: int
     lost_frames: int  # left out by the message counter
-    crowded_frames: int  # that came far more often than usual
+    crowded_frames: int  # that came far more often than usual and with wrong counters or checksums
     emergencies: int
     malformed_emergencies: int
     rate_hz: float | None  # of the last second or so, None while there is none
@@ -88,6 +92,9 @@ def source_condition(
             f"the message counter jumps: {counter.lost_frames} frames {source.frame_id} were lost",
             "look for a second sender of this identifier, an overloaded bus or a loose plug",
         )
+    if node.communication_code is not None:
+        words = emergency_words(node.communication_code, node.error_register)
+        return Condition(Wellness.ILL, f"the source says: {words}", _COMMUNICATION_ADVICE)
     return OK
 
 
@@ -115,6 +122,9 @@ def _silence(
             "let the network's master start it (NMT start), or set the sensor to start by itself (object 1F80h); this "
             "program sends no commands",
         )
+    if node.communication_code is not None:
+        words = emergency_words(node.communication_code, node.error_register)
+        return _waiting(f"the source says: {words}, and sends no position {source.frame_id}", _COMMUNICATION_ADVICE)
     advice = "check that the controller is switched on, its cable, the bit rate and the identifier (candump shows it)"
     if last_ns is None:
         return _waiting(f"no frame {source.frame_id} yet", advice)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from drivers.can.error_frames import ERROR_ACTIVE, NO_ACKNOWLEDGEMENT, decode
+from drivers.can.error_frames import BUS_OFF, ERROR_ACTIVE, NO_ACKNOWLEDGEMENT, decode
 from drivers.can.frame import Frame
 from drivers.can.rate import RecentCount
+
+# Controllers tell of the way up and often not of the way back; a bus on which frames pass for so long is well.
+_CALM_NS = 10_000_000_000
 
 
 class ErrorTally:
@@ -33,6 +36,16 @@ class ErrorTally:
             self.transmit_errors, self.receive_errors = report.transmit_errors, report.receive_errors
         self.last, self.last_ns = str(report), frame.t_ns
         self._recent.add(frame.t_ns)
+
+    def note_data(self, t_ns: int) -> None:
+        """A data frame came at `t_ns`: no bus-off; and no trouble, if no error frame has come lately."""
+        if self.state == BUS_OFF or (self.last_ns is not None and t_ns - self.last_ns >= _CALM_NS):
+            self.state = ERROR_ACTIVE
+
+    def note_losses(self) -> None:
+        """Frames were lost, perhaps the one that ended the state; bus-off ends with the next data frame anyway."""
+        if self.state != BUS_OFF:
+            self.state = ERROR_ACTIVE
 
     def forget_state(self) -> None:
         """The interface was opened anew: what was said about the controller no longer holds."""

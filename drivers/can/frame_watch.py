@@ -42,14 +42,16 @@ class CounterWatch:
 
 @dataclass(slots=True)
 class FrameRate:
-    """Learns how often frames come, and notices when they come far too often.
+    """Learns how often frames come, and notices when they crowd: come far too often, and not from one sound sender.
 
-    Crowded frames are not learned from: a second sender must not become the usual state of things.
+    A sender may change its rate, so a second sign within the same window is asked for. Crowded frames are not
+    learned from: a second sender must not become the usual state of things.
     """
 
     begin_ns: TimeNs = 0  # of the present window
     last_ns: TimeNs | None = None
     frames: Count = 0  # in the present window
+    signs: Count = 0  # in the present window, of a second or a wild sender: wrong checksum or message counter
     windows: Count = 0  # learned from
     usual_hz: RateHz | None = None
     recent_hz: RateHz | None = None  # of the last window
@@ -59,18 +61,19 @@ class FrameRate:
     def see(self, t_ns: int, timeout_ns: int) -> None:
         """Take in the time of a frame; a silence longer than `timeout_ns` begins a new window."""
         if self.last_ns is None or not 0 <= t_ns - self.last_ns <= timeout_ns:
-            self.begin_ns, self.frames, self.recent_hz, self.is_crowded = t_ns, 0, None, False
+            self.begin_ns, self.frames, self.signs, self.recent_hz, self.is_crowded = t_ns, 0, 0, None, False
         else:
             self.frames += 1
             if self.frames >= _WINDOW_FRAMES and t_ns - self.begin_ns >= _WINDOW_NS:
                 self._judge(self.frames / ((t_ns - self.begin_ns) * 1e-9))
-                self.begin_ns, self.frames = t_ns, 0
+                self.begin_ns, self.frames, self.signs = t_ns, 0, 0
         self.last_ns = t_ns
 
     def _judge(self, rate_hz: float) -> None:
         usual_hz = rate_hz if self.usual_hz is None else self.usual_hz
         self.recent_hz = rate_hz
-        self.is_crowded = self.windows >= _LEARNING_WINDOWS and rate_hz > _CROWDED * usual_hz
+        is_known = self.windows >= _LEARNING_WINDOWS
+        self.is_crowded = is_known and self.signs > 0 and rate_hz > _CROWDED * usual_hz
         if self.is_crowded:
             self.crowded_frames += self.frames
             return

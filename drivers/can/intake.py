@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import can
 
-from drivers.can.error_frames import BUS_OFF, ERROR_ACTIVE
 from drivers.can.error_tally import ErrorTally
 from drivers.can.frame import Frame, FrameId
 from drivers.can.interface import to_frame
@@ -38,6 +37,7 @@ class CanCounters:
     send_failures: int = 0  # refused ones included
     failures: int = 0  # failed openings and readings
     reconnects: int = 0  # openings that worked, except the first
+    clock_steps: int = 0  # settings of the wall clock, by which the kernel stamps frames
 
 
 class Intake:
@@ -71,8 +71,7 @@ class Intake:
         """Count a message that came at `t_ns`; gives the frame to hand on, if any."""
         if message.is_error_frame:
             return self._take_error(to_frame(message, t_ns))
-        if self.errors.state == BUS_OFF:
-            self.errors.state = ERROR_ACTIVE  # nothing arrives while bus-off
+        self.errors.note_data(t_ns)
         self._frame_ns = t_ns
         frame_id = FrameId(message.arbitration_id, message.is_extended_id)
         if self._ids is not None and frame_id not in self._ids:
@@ -92,6 +91,8 @@ class Intake:
         """The kernel has dropped `count` frames more."""
         self.counters.kernel_drops += count
         self._recent_drops.add(now_ns, count)
+        if count:
+            self.errors.note_losses()
 
     def note_filtered(self, now_ns: int) -> None:
         """Frames reach the interface, though none passes the kernel's filter."""

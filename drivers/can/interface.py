@@ -62,7 +62,7 @@ def open_bus(settings: CanSettings, ids: Collection[FrameId] | None) -> can.BusA
     # A missing interface would leave a log line at every try, and one that is down opens but stays mute.
     interface_status(settings)
     if settings.interface == "virtual":
-        return NetworkBus(settings.channel)
+        return NetworkBus(settings.channel, is_own=True)
     options: dict[str, Any] = {}
     if settings.interface == "socketcan":
         options = {"fd": True, "can_filters": None if ids is None else [_kernel_filter(id_) for id_ in ids]}
@@ -87,7 +87,7 @@ def interface_status(settings: CanSettings) -> InterfaceStatus:
             raise _missing(errno.ENODEV, settings.channel)
         if not shared.is_up:
             raise _down(settings.channel)
-        return InterfaceStatus(shared.index, not shared.is_bus_off)
+        return InterfaceStatus(shared.index, not shared.is_bus_off, shared.received)
     return InterfaceStatus()
 
 

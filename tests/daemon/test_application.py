@@ -8,6 +8,7 @@ import json
 import os
 import signal
 import socket
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -24,11 +25,12 @@ from daemon.service.application import Application
 from daemon.service.live_client import first_line
 from daemon.service.notify import Notifier
 from daemon.settings import Settings
+from drivers.adis16448.burst import Burst
 from drivers.can.estimate_frame import decode_estimate
 from drivers.can.frame import Frame
 from drivers.can.interface import to_frame
 from drivers.virtual.can_network import NetworkBus
-from estimation.records import Segment
+from estimation.records import Segment, TimeKind
 from tests.daemon.application_kit import PATIENCE_S, Viewer, forever, run, settings_in
 
 WORKING = ("ok", "ill")
@@ -349,3 +351,44 @@ def test_a_disk_that_refuses_stops_neither_estimates_nor_the_end(
 
     run(Application(settings), scene)
     assert any(line.startswith(f"cannot write {short_path}/state/s.json: ") for line in caplog.messages)
+
+
+def test_after_a_standstill_frames_wait_for_the_older_samples_of_the_acquiring_process(
+    short_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    woken = Application(settings_in(short_path))
+    taken: list[tuple[str, Recorded]] = []
+    monkeypatch.setattr(woken._stream, "take", lambda topic, record: taken.append((topic, record)))
+    behind = [True]
+    monkeypatch.setattr(type(woken._imu), "is_behind", property(lambda _: behind[0]))
+    late, later = Frame(2_000_000_000, 0x310, bytes(5)), Frame(2_100_000_000, 0x310, bytes(5))
+    sample = Burst(1_000_000_000, TimeKind.EDGE, (0,) * 12, None)
+
+    woken._ticked_s -= 5.0  # the loop stood still
+    woken._take_frame(late)
+    assert taken == []
+    woken._blocks.append([sample])
+    woken._take_frame(later)
+    assert taken == [(topics.IMU_RAW, sample)]
+    behind[0] = False
+    woken._take_frames()
+    assert [record for _, record in taken] == [sample, late, later]
+
+
+def test_frames_wait_for_nothing_while_the_loop_keeps_time_or_once_their_patience_is_over(
+    short_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    running = Application(settings_in(short_path))
+    taken: list[Recorded] = []
+    monkeypatch.setattr(running._stream, "take", lambda _, record: taken.append(record))
+    monkeypatch.setattr(type(running._imu), "is_behind", property(lambda _: True))
+    frame = Frame(1, 0x310, bytes(5))
+    running._take_frame(frame)
+    assert taken == [frame]
+    running._ticked_s -= 5.0
+    running._take_frame(frame)
+    assert taken == [frame]
+    running._ticked_s = time.monotonic()
+    running._catch_up_until_s = 0.0
+    running._take_frames()
+    assert taken == [frame, frame]

@@ -44,11 +44,3 @@ def test_a_part_that_need_not_work_may_rest_and_has_its_full_patience_afterwards
     wanted.append(True)
     assert watchdog.laggards(100 + PATIENCE_S - 0.1) == {}
     assert watchdog.laggards(100 + PATIENCE_S) == {"estimator": PATIENCE_S}
-
-
-def test_a_part_may_have_a_patience_of_its_own() -> None:
-    recorder, watchdog = Counter(), Watchdog()
-    watchdog.watch("recorder", recorder, patience_s=30.0)
-    watchdog.laggards(0.0)
-    assert watchdog.laggards(29.0) == {}
-    assert watchdog.laggards(30.0) == {"recorder": 30.0}

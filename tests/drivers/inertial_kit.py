@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,6 +17,7 @@ from drivers.clock import Clock, VirtualClock
 from drivers.data_ready import DataReady, DataReadyError, Edge
 from drivers.spi import SpiError
 from drivers.virtual.adis16448 import VirtualAdis16448
+from drivers.virtual.adis16448_line import Arrival
 from drivers.virtual.inertial_input import InertialInput, SteadyInput
 from drivers.virtual.sensor_errors import SensorErrors
 
@@ -86,6 +87,17 @@ class Line:
 
     def close(self) -> None:
         self.closed += 1
+
+
+@dataclass
+class Lossy:
+    """A wire that loses edges at random, by their share."""
+
+    share: float
+
+    def arrivals(self, edge_ns: int) -> Sequence[Arrival]:
+        is_lost = np.random.default_rng(edge_ns).random() < self.share
+        return () if is_lost else (Arrival(edge_ns, edge_ns),)
 
 
 class Bench:

@@ -7,10 +7,22 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.virtual.adis16448 import VirtualAdis16448
-from tests.drivers.inertial_kit import Bench, bursts, flip_bit, good, on_bursts
+from tests.drivers.inertial_kit import Bench, Lossy, bursts, flip_bit, good, on_bursts
 
 TROUBLES = st.sampled_from(
-    ["none", "stall", "zeros", "ones", "noise", "brown-out", "port", "cut line", "line too", "slow reads"]
+    [
+        "none",
+        "stall",
+        "zeros",
+        "ones",
+        "noise",
+        "brown-out",
+        "port",
+        "cut line",
+        "line too",
+        "slow reads",
+        "lost edges",
+    ]
 )
 
 
@@ -21,7 +33,8 @@ def edges_of(part: VirtualAdis16448) -> int:
 @settings(derandomize=True, deadline=None, max_examples=40)
 @given(st.lists(st.tuples(TROUBLES, st.floats(0.001, 1.5)), max_size=6), st.sampled_from([0, 1, 4]))
 def test_edges_are_read_or_missed_or_passed_during_a_start(troubles: list[tuple[str, float]], decimation: int) -> None:
-    bench = Bench({"decimation_exponent": decimation})
+    edge_wire = Lossy(0.0)
+    bench = Bench({"decimation_exponent": decimation}, edge_wire=edge_wire)
     items = bench.run(0.5)
     transfer = bench.part.transfer
     for trouble, seconds in troubles:
@@ -29,6 +42,7 @@ def test_edges_are_read_or_missed_or_passed_during_a_start(troubles: list[tuple[
         bench.part.is_line_cut = trouble in ("cut line", "line too")
         bench.wire.tamper = on_bursts(flip_bit) if trouble == "noise" else lambda _, answer: answer
         bench.wire.error = bench.wire.open_error = "the port is gone" if trouble == "port" else ""
+        edge_wire.share = 0.6 if trouble == "lost edges" else 0.0
         if trouble == "brown-out":
             bench.part._memory.restart()
             bench.part._update_signal(bench.clock.now_ns())
@@ -46,7 +60,7 @@ def test_edges_are_read_or_missed_or_passed_during_a_start(troubles: list[tuple[
     counters = bench.sensor.counters
     edges = edges_of(bench.part)
     waiting = bench.sensor._timer.skip()  # came after the last read
-    assert counters.edge_reads + counters.missed + counters.missed_starting + waiting == edges
+    assert counters.edge_reads + counters.missed + counters.missed_starting + counters.unheeded + waiting == edges
     assert counters.samples == counters.edge_reads + counters.paced_reads == len(bursts(items))
     assert counters.bad == len(bursts(items)) - len(good(items))
     assert counters.errors == 0

@@ -208,7 +208,7 @@ def test_a_cut_line_is_paced_in_step_with_its_last_edge_and_taken_back() -> None
     back_ns = bench.clock.now_ns()
     after = bench.run(6.0)
     first = next(burst for burst in bursts(after) if burst.time_kind is TimeKind.EDGE)
-    assert first.t_ns - back_ns < 0.003 * SECOND
+    assert first.t_ns - back_ns < 0.007 * SECOND  # four edges in step
     times = [burst.t_ns for burst in bursts(before + paced + after)]
     assert np.all(np.diff(times) > 0)
     counters = bench.sensor.counters

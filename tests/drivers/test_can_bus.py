@@ -196,7 +196,7 @@ def test_only_wanted_identifiers_are_handed_on_and_the_others_counted() -> None:
 
 def arrival_s(monkeypatch: pytest.MonkeyPatch, *ages_s: float) -> list[float]:
     """Monotonic arrival times of frames whose kernel stamps are `ages_s` old, read at 100 s."""
-    monkeypatch.setattr(time, "time", lambda: 1_000_000.0)
+    monkeypatch.setattr(time, "time_ns", lambda: 1_000_000_000_000_000)
     arrivals: list[float] = []
 
     async def scenario() -> None:
@@ -211,9 +211,10 @@ def arrival_s(monkeypatch: pytest.MonkeyPatch, *ages_s: float) -> list[float]:
 
 
 @pytest.mark.parametrize(
-    ("age_s", "expected_s"), [(0.0, 100.0), (0.02, 99.98), (0.2, 100.0), (-3600.0, 100.0), (1e6, 100.0)]
+    ("age_s", "expected_s"),
+    [(0.0, 100.0), (0.02, 99.98), (0.2, 99.8), (59.0, 41.0), (61.0, 100.0), (-3600.0, 100.0), (1e6, 100.0)],
 )
-def test_kernel_time_is_used_unless_the_wall_clock_was_set(
+def test_kernel_time_is_used_at_any_plausible_age(
     monkeypatch: pytest.MonkeyPatch, age_s: float, expected_s: float
 ) -> None:
     assert arrival_s(monkeypatch, age_s) == [pytest.approx(expected_s, abs=1e-6)]
@@ -221,8 +222,25 @@ def test_kernel_time_is_used_unless_the_wall_clock_was_set(
 
 def test_time_never_goes_back(monkeypatch: pytest.MonkeyPatch) -> None:
     arrivals = arrival_s(monkeypatch, 0.03, 0.2, 0.01)
-    assert arrivals == [pytest.approx(99.97), pytest.approx(100.0), pytest.approx(100.0)]
+    assert arrivals == [pytest.approx(99.97), pytest.approx(99.97), pytest.approx(99.99)]
     assert arrivals == sorted(arrivals)
+
+
+def test_settings_of_the_wall_clock_are_counted_by_the_link(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("drivers.can.bus.SUPERVISE_S", 0.01)
+    wall_ns = [1_000_000_000_000_000]
+    monkeypatch.setattr(time, "time_ns", lambda: wall_ns[0])
+
+    async def scenario() -> None:
+        async with Bench(clock=VirtualClock(100_000_000_000)) as bench:
+            await bench.until(lambda: bench.link.progress >= 2)
+            assert bench.link.counters.clock_steps == 0
+            wall_ns[0] += 3_600_000_000_000
+            before = bench.link.progress
+            await bench.until(lambda: bench.link.progress >= before + 3)
+            assert bench.link.report()["clock_steps"] == 1
+
+    run(scenario())
 
 
 def test_sending_is_refused_while_listening_only() -> None:

@@ -10,6 +10,7 @@ import pytest
 from drivers.can.displacement import build_decoders
 from drivers.can.frame import Frame, FrameId
 from drivers.can.settings import CanConfigError, CanSettings, DisplacementSettings
+from drivers.condition import Wellness
 from estimation.records import Displacement, ReadingFault
 from tests.drivers.can_kit import about, decoder, emergency, heartbeat, position, read, status, taken
 
@@ -126,6 +127,30 @@ def test_cia406_emergency_makes_the_position_invalid_until_it_is_cleared(code: i
     assert seen == [ReadingFault.INVALID, ReadingFault.INVALID, ReadingFault.NONE]
     assert reader.faults[ReadingFault.INVALID] == 2
     assert reader.report(7).emergencies == 3
+
+
+@pytest.mark.parametrize("code", [0x8110, 0x8130, 0x8210, 0x82FF])
+def test_cia406_emergency_about_communication_leaves_the_position_valid(code: int) -> None:
+    reader = decoder(preset="cia406")
+    reader.decode(emergency(code, 0x11))
+    assert taken(reader, position(1000)).fault is ReadingFault.NONE
+    report = reader.report(8)
+    assert (report.emergencies, report.condition.word) == (1, Wellness.ILL)
+    assert f"0x{code:04X}" in report.condition.what
+    assert "still counts" in report.condition.advice
+    reader.decode(emergency(0, 0))
+    taken(reader, position(1000))
+    assert reader.report(8).condition.word is Wellness.OK
+
+
+def test_cia406_emergency_about_communication_does_not_end_one_about_the_position() -> None:
+    reader = decoder(preset="cia406")
+    faults = []
+    for frame in (emergency(0x5000, 0x21), emergency(0x8130, 0x31), emergency(0, 0x11), emergency(0, 0x21)):
+        reader.decode(frame)
+        faults.append(taken(reader, position(1000)).fault)
+    # The third says that nothing but communication is wrong any more, the fourth that a device error is.
+    assert faults == [ReadingFault.INVALID, ReadingFault.INVALID, ReadingFault.NONE, ReadingFault.INVALID]
 
 
 def test_cia406_sensor_that_boots_anew_has_no_emergency() -> None:

@@ -213,6 +213,50 @@ def test_bus_that_is_opened_anew_forgets_what_was_said_of_the_controller() -> No
     bench.link.close()
 
 
+@pytest.mark.parametrize("trouble", [PASSIVE, error(0x04, d1=0x08)])
+def test_controller_that_has_not_complained_for_ten_seconds_of_frames_is_error_active_again(
+    trouble: can.Message,
+) -> None:
+    clock = VirtualClock()
+    bench = Bench(clock=clock)
+    bench.link.drain()
+    bench.network.deliver(trouble)
+    bench.link.drain()
+    state = bench.link.controller_state
+    clock.sleep(30.0)
+    bench.link.drain()
+    assert bench.link.controller_state == state  # silence proves nothing
+    bench.network.deliver(error(0x08))
+    for _ in range(99):
+        bench.network.deliver(message(1))
+        bench.link.drain()
+        clock.sleep(0.1)
+    assert bench.link.controller_state == state != ERROR_ACTIVE
+    clock.sleep(0.1)
+    bench.network.deliver(message(1))
+    bench.link.drain()
+    assert bench.link.controller_state == ERROR_ACTIVE
+    bench.link.close()
+
+
+@pytest.mark.parametrize(("told", "afterwards"), [(PASSIVE, ERROR_ACTIVE), (error(0x40), BUS_OFF)])
+def test_state_is_forgotten_when_the_frame_that_ended_it_may_be_lost(told: can.Message, afterwards: str) -> None:
+    clock = VirtualClock()
+    bench = Bench(clock=clock)
+    bench.link.drain()
+    for _ in range(2000):
+        bench.network.deliver(message(1))
+    bench.link.drain()
+    bench.network.deliver(told)
+    bench.link.drain()
+    assert bench.link.controller_state != ERROR_ACTIVE
+    clock.sleep(1.0)
+    bench.link.drain()
+    assert bench.link.counters.kernel_drops > 0
+    assert bench.link.controller_state == afterwards
+    bench.link.close()
+
+
 def test_report_names_the_errors() -> None:
     bench = Bench(clock=VirtualClock(3_500_000_000))
     bench.link.drain()

@@ -60,6 +60,7 @@ def remembering() -> DisplacementDecoder:
     """A decoder with something in every field of its memory."""
     reader = decoder(preset="cia406", counter_signal="speed")
     reader.decode(emergency(0x5000, 1, t_ns=1))
+    reader.decode(emergency(0x8130, 0x11, t_ns=1))
     reader.decode(heartbeat(5, t_ns=2))
     for number in range(200):
         reader.decode(Frame(number * 20 * MS, 0x1FF, number.to_bytes(4, "little") + bytes([number * 2 % 256, 0])))

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.can.interface import InterfaceFault, open_bus
+from drivers.can.interface import InterfaceFault, interface_status, open_bus
 from drivers.can.settings import CanSettings
 from drivers.virtual.can_network import CanNetwork, NetworkBus, error_message, network
 from tests.drivers.can_bench import message, unused_channel
@@ -20,6 +20,19 @@ from tests.drivers.can_bench import message, unused_channel
 @pytest.fixture
 def can0() -> CanNetwork:
     return network(unused_channel())
+
+
+def test_interface_counts_the_data_frames_of_others_until_it_is_made_anew() -> None:
+    settings_ = CanSettings(interface="virtual", channel=unused_channel(), listen_only=False)
+    with open_bus(settings_, None) as own, NetworkBus(settings_.channel) as other:
+        own.send(message(1))
+        other.send(message(2))
+        other.send(message(3))
+        network(settings_.channel).deliver(error_message(0x08))
+        assert interface_status(settings_).received == 2
+        network(settings_.channel).exists = False
+        network(settings_.channel).exists = True
+        assert interface_status(settings_).received == 0
 
 
 def received(bus: NetworkBus) -> list[can.Message]:

@@ -234,7 +234,8 @@ def test_frames_that_come_far_more_often_than_usual_are_counted_and_named_until_
     send(reader, every(100 * MS, 0, 10 * SECOND))
     assert told(reader, 10 * SECOND) == (Wellness.OK, "", "")
     flood = every(10 * MS, 10 * SECOND, 14 * SECOND)
-    send(reader, flood, 100)
+    for number, t_ns in enumerate(flood):  # two senders in turn, each with its own counter
+        taken(reader, status(100, (number // 2 + 8 * (number % 2)) % 16), t_ns)
     word, what, advice = told(reader, 14 * SECOND)
     assert word is Wellness.ILL
     assert what.startswith("frames 0x310 come 100 times a second instead of 10: two senders use one identifier")
@@ -244,6 +245,27 @@ def test_frames_that_come_far_more_often_than_usual_are_counted_and_named_until_
     send(reader, every(100 * MS, 14 * SECOND, 18 * SECOND), 500)
     report = reader.report(18 * SECOND)
     assert (report.condition, report.rate_hz) == (OK, 10.0)
+
+
+def test_a_sender_that_sends_more_often_and_counts_on_is_no_crowd() -> None:
+    reader = decoder()
+    send(reader, every(500 * MS, 0, 20 * SECOND))
+    send(reader, every(20 * MS, 20 * SECOND, 30 * SECOND), 40)
+    report = reader.report(30 * SECOND)
+    assert (report.condition, report.crowded_frames, report.rate_hz) == (OK, 0, 50.0)
+
+
+@pytest.mark.parametrize("sign", ["wrong checksum", "repeated", "jump"])
+def test_one_wrong_frame_makes_a_crowd_of_its_own_second_only(sign: str) -> None:
+    reader, place_of_sign = decoder(), 70
+    send(reader, every(500 * MS, 0, 20 * SECOND))
+    number = 39
+    for place, t_ns in enumerate(every(20 * MS, 20 * SECOND, 30 * SECOND)):
+        number += {"repeated": 0, "jump": 3}.get(sign, 1) if place == place_of_sign else 1
+        data = bytearray(status(100, number % 16))
+        data[-1] ^= sign == "wrong checksum" and place == place_of_sign
+        taken(reader, bytes(data), t_ns)
+    assert reader.report(30 * SECOND).crowded_frames == 50
 
 
 def test_a_rate_that_is_a_few_times_the_usual_one_is_learned_instead() -> None:

@@ -59,6 +59,19 @@ def test_frames_but_not_the_wanted_ones() -> None:
     bench.link.close()
 
 
+def test_frames_of_before_a_cable_break_are_not_taken_for_unwanted_ones() -> None:
+    clock = VirtualClock()
+    bench = opened(clock, FrameId(0x310))
+    let_pass(bench, clock, 5.0, 0x310)
+    said = []
+    for _ in range(80):
+        let_pass(bench, clock, 0.1)
+        said.append(bench.link.condition.what.partition(" for ")[0])
+    assert set(said) == {"", "no frame at all"}
+    assert said.index("no frame at all") in (49, 50)  # 5 s after the last frame, not after a later look at the count
+    bench.link.close()
+
+
 def test_link_that_takes_everything_misses_nothing_in_particular() -> None:
     clock = VirtualClock()
     bench = Bench(clock=clock)
