@@ -419,8 +419,8 @@ class InertialSensor:
             self._tell(OK)
 
     def _about_line(self) -> tuple[str, str]:
-        trouble = "brings too few edges" if self._timer.is_sparse else "is silent"
-        what = self._timer.line_error or f"the data-ready line {trouble}"
+        sparse, silent = "the data-ready line brings too few edges", "the data-ready line is silent"
+        what = self._timer.line_error or (sparse if self._timer.is_sparse else silent)
         pin = self._settings.data_ready_pin
         return f"{what}: reads are paced", f"check the wire from DIO{pin} to the GPIO line, and data_ready_* in [imu]"
 
