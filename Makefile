@@ -3,13 +3,14 @@
 # make coverage  the same with branch coverage (half as fast)
 # make check   ruff and mypy
 # make bench   speed and accuracy figures; nothing is asserted
+# make faults  what each fault does, as a table (two minutes)
 # make docs    generate the references of configuration and fault scripts
 PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/installed
 
-.PHONY: demo test coverage check bench docs rebase clean
+.PHONY: demo test coverage check bench docs faults rebase clean
 
 demo: $(INSTALLED)
 	$(BIN)/ramstroke demo --out demo
@@ -31,6 +32,9 @@ bench: $(INSTALLED)
 docs: $(INSTALLED)
 	$(BIN)/python -m daemon.configuration_reference > docs/configuration.md
 	$(BIN)/python -m daemon.simulation.fault_reference > docs/faults.md
+
+faults: $(INSTALLED)
+	$(BIN)/python -m tests.fault_table > docs/outcomes.md
 
 rebase: $(INSTALLED)
 	$(BIN)/python -m pytest tests/acceptance/test_regression.py tests/acceptance/test_recorded_bytes.py --rebase

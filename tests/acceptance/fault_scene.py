@@ -173,7 +173,7 @@ def play(
 @cache
 def without_faults(decimation: int = 0) -> Outcome:
     """The same run when nothing goes wrong."""
-    return play(None, decimation_exponent=decimation)
+    return play(FaultScript(), decimation_exponent=decimation)
 
 
 def is_ill(condition: Condition) -> bool:
