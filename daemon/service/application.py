@@ -167,6 +167,7 @@ class Application:
         if self._failure is None:  # else the estimator may be what failed
             self._stream.finish()
             self._write_state()
+            self._record_health(self.health())  # the last word of every counter
         await self._live.close()
         if not await asyncio.to_thread(self._recorder.close):
             _log.error("the disk did not answer: the end of the recording is lost")
@@ -285,11 +286,14 @@ class Application:
                 laggards = self._watchdog.laggards(time.monotonic())
                 health = self.health() | {"standing_still": {name: round(s, 1) for name, s in laggards.items()}}
                 self._tell_laggards(laggards)
-                self._recorder.write(topics.HEALTH, Health(self._clock.now_ns(), json.dumps(finite(health))))
+                self._record_health(health)
                 self._live.push("status", finite(health))
                 self._notifier.status(status_line(health, laggards))
                 if not laggards:
                     self._notifier.watchdog()
+
+    def _record_health(self, health: dict[str, Any]) -> None:
+        self._recorder.write(topics.HEALTH, Health(self._clock.now_ns(), json.dumps(finite(health))))
 
     def _tell_laggards(self, laggards: dict[str, float]) -> None:
         """Into the log, which outlives what systemd will do."""
