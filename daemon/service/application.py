@@ -165,6 +165,8 @@ class Application:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
         if self._failure is None:  # else the estimator may be what failed
+            self._catch_up_until_s = 0.0
+            self._take_frames()
             self._stream.finish()
             self._write_state()
             self._record_health(self.health())  # the last word of every counter

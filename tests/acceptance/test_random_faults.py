@@ -55,7 +55,7 @@ def spent() -> dict[str, float]:
     return {"faulty": 0.0, "plain": 0.0}
 
 
-@given(script=scripts(), decimation=st.sampled_from((0, 2, 3, 3, 3, 3, 3, 3)))
+@given(script=scripts())
 @settings(
     max_examples=SCRIPTS,
     derandomize=True,
@@ -65,8 +65,10 @@ def spent() -> dict[str, float]:
     suppress_health_check=(HealthCheck.function_scoped_fixture, HealthCheck.too_slow),
 )
 def test_whatever_goes_wrong_acquisition_outlives_it(
-    script: FaultScript, decimation: int, spent: dict[str, float], tmp_path_factory: pytest.TempPathFactory
+    script: FaultScript, spent: dict[str, float], tmp_path_factory: pytest.TempPathFactory
 ) -> None:
+    # Every tenth at the full rate; an eighth of the samples shows the same logic in an eighth of the time.
+    decimation = 0 if script.seed % 10 == 7 else 3
     usual, usual_s = plain(decimation)
     path = tmp_path_factory.getbasetemp() / "random-faults.mcap" if script.seed % 4 == 0 else None
     if path is not None:

@@ -13,12 +13,14 @@ from daemon.cli import main
 from drivers.adis16448.burst import Burst, BurstDecoder, Fault
 from drivers.adis16448.configuration import ImuSettings
 from drivers.adis16448.machine import InertialSensor
-from drivers.adis16448.registers import ACCEL_LSB, GYRO_LSB_DPS
+from drivers.adis16448.registers import ACCEL_LSB, BASE_RATE_HZ, GYRO_LSB_DPS
 from drivers.clock import VirtualClock
 from drivers.virtual.adis16448 import VirtualAdis16448
 from drivers.virtual.inertial_input import RecordedInput
 from estimation.records import TimeKind
 from tests import broad
+
+BROAD_RATE_HZ = 2000 / 7  # of the recording
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +73,8 @@ def test_recording_through_the_virtual_sensor_gives_the_same_samples_to_half_an_
     recording = broad.load()
     clock = VirtualClock()
     settings = ImuSettings(transport="virtual", gyro_range_dps=1000, filter_taps_exponent=0)
-    t_ns = np.array([round(float(t) * 1e9) for t in recording.t_s])
+    # A part whose line brings a third of its edges would be read in paces: played at the part's own rate.
+    t_ns = np.array([round(float(t) * 1e9 * BROAD_RATE_HZ / BASE_RATE_HZ) for t in recording.t_s])
     gyro, accel = recording.motion[:, :3], recording.motion[:, 3:]
     part = VirtualAdis16448(RecordedInput(t_ns, gyro, accel, start_ns=160_000_000), clock)
     sensor = InertialSensor(settings, clock, lambda: part, part.data_ready)
