@@ -107,7 +107,7 @@ def main() -> None:
             memory.append((_rss_mb(run), _rss_mb(sim)))
         run.send_signal(signal.SIGTERM)
         run.communicate(timeout=60)
-        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        used = resource.getrusage(resource.RUSAGE_CHILDREN)  # by `run`: `sim` has not ended yet
         sim.send_signal(signal.SIGTERM)
         account = json.loads(sim.communicate(timeout=60)[0])
         found = _recordings(folder)
@@ -142,7 +142,7 @@ def main() -> None:
         "recorder": {k: v for k, v in found["health"]["recorder"].items() if isinstance(v, int)},
         "memory of run, sim MB (every tenth)": [(round(a, 1), round(b, 1)) for a, b in memory[::10]],
         "memory of run after a third, at the end": (memory[len(memory) // 3][0], memory[-1][0]),
-        "cpu of run s": before.ru_utime + before.ru_stime,
+        "cpu of run s": used.ru_utime + used.ru_stime,
         "log lines": log.count("\n"),
         "tracebacks": log.count("Traceback"),
         "faults played": len(account["faults"]),

@@ -164,15 +164,24 @@ class Application:
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
-        if self._failure is None:  # else the estimator may be what failed
-            self._catch_up_until_s = 0.0
-            self._take_frames()
-            self._stream.finish()
-            self._write_state()
-            self._record_health(self.health())  # the last word of every counter
+        try:
+            self._take_the_rest()
+        except Exception as error:
+            self._fail(error)  # and still close what is open
         await self._live.close()
         if not await asyncio.to_thread(self._recorder.close):
             _log.error("the disk did not answer: the end of the recording is lost")
+
+    def _take_the_rest(self) -> None:
+        """What was received until the end, and what follows from it."""
+        self._take_blocks()
+        if self._failure is not None:
+            return  # the estimator may be what failed
+        self._catch_up_until_s = 0.0
+        self._take_frames()
+        self._stream.finish()
+        self._write_state()
+        self._record_health(self.health())  # the last word of every counter
 
     # --- inputs -----------------------------------------------------------------------------------------------
 

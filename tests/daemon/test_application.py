@@ -296,6 +296,26 @@ def test_a_fault_in_the_estimator_ends_the_run_with_it_and_a_whole_recording(
     assert replay(path).identical is True
 
 
+def test_a_fault_at_the_very_end_is_told_and_leaves_a_whole_recording(
+    short_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settings = settings_in(short_path)
+    faulty, viewer = Application(settings), Viewer(settings)
+
+    def fail_to_finish() -> None:
+        raise ZeroDivisionError("a fault of the program")
+
+    monkeypatch.setattr(faulty._stream, "finish", fail_to_finish)
+
+    async def scene() -> None:
+        await viewer.read_until(lambda line: line["type"] == "estimate")
+
+    with pytest.raises(ZeroDivisionError):
+        run(faulty, scene)
+    recorded(settings)
+    assert not settings.service.socket.exists()
+
+
 def test_a_socket_in_use_is_told_in_one_sentence(short_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     config, path = short_path / "c.toml", short_path / "live"
     config.write_text(
