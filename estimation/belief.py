@@ -76,7 +76,7 @@ class Belief:
             self.items.pop()
             return
         assert motion is not None
-        if decision is Decision.START_PROPOSED:
+        if decision in (Decision.START_PROPOSED, Decision.STOP_UNSTARTED):
             self.items.append(motion)
         else:
             self.items[-1] = motion

@@ -109,6 +109,10 @@ class DisplacementSensor:
         elif self.accepted_in_row >= BIASED_READINGS:
             self.biased = False
 
+    def distrust(self) -> None:
+        """It has been found to run away: trust it again only when it agrees."""
+        self.biased, self.accepted_in_row = True, 0
+
     def state(self, t_ns: int) -> CanState:
         """The sensor in one word, at time t."""
         if self.last_ns is None:

@@ -72,15 +72,29 @@ class Gaussian:
         self.add(i, j, 1.0)
         self.diffuse(i, variance)
 
+    def block(self, states: Sequence[int]) -> Gaussian:
+        """The marginal of some states."""
+        return Gaussian([self.x[i] for i in states], [[self.p[i][j] for j in states] for i in states])
+
+    def set_block(self, states: Sequence[int], block: Gaussian) -> None:
+        """Replace some states by a Gaussian of their own, independent of the others."""
+        for i in states:
+            self.reset(i, 0.0, 0.0)
+        for a, i in enumerate(states):
+            self.x[i] = block.x[a]
+            for b, j in enumerate(states):
+                self.p[i][j] = block.p[a][b]
+
     def predicted_variance(self, row: Row) -> float:
         """Variance of the linear combination `row`."""
         p = self.p
         return sum(a * b * p[i][j] for i, a in row for j, b in row)
 
-    def measure(self, row: Row, innovation: float, variance: float) -> float:
+    def measure(self, row: Row, innovation: float, variance: float, hold: Sequence[int] = ()) -> float:
         """Scalar measurement of `row` with the given innovation; returns the innovation's variance.
 
-        The covariance is updated as P - K S K^T with K = P h / S, symmetric by construction.
+        The covariance is updated as P - K S K^T with K = P h / S, symmetric by construction. States in `hold` are
+        considered but not changed (Schmidt): what the measurement tells of them has been used already.
         """
         p = self.p
         ph = [sum(line[j] * b for j, b in row) for line in p]
@@ -88,6 +102,17 @@ class Gaussian:
         if s <= 0.0:
             return s  # both the state and the measurement claim to be exact: nothing to learn
         gain = [value / s for value in ph]
+        if hold:
+            # P - k (P h)^T - (P h) k^T + s k k^T, of which nothing is left where both gains are held.
+            held = [gain[i] if i in hold else 0.0 for i in range(len(gain))]
+            for i in hold:
+                gain[i] = 0.0
+            self.x = [a + k * innovation for a, k in zip(self.x, gain, strict=True)]
+            for k, h, line in zip(gain, held, p, strict=True):
+                for j, value in enumerate(ph):
+                    # s k_i k_j for two free states, s k_i h_j where one of them is held
+                    line[j] -= k * value + h * s * gain[j]
+            return s
         self.x = [a + k * innovation for a, k in zip(self.x, gain, strict=True)]
         for k, line in zip(gain, p, strict=True):
             if k:

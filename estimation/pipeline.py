@@ -12,6 +12,8 @@ from math import acos, degrees, hypot, log, sqrt
 from estimation.belief import SEGMENT_OF, Phase
 from estimation.blocks import GAP_PERIODS, SAMPLES_PER_STEP, BlockCutter
 from estimation.displacement_sensor import STUCK_READINGS
+from estimation.burst import prepare as prepare_bursts
+from estimation.kernels import Kernel
 from estimation.mount import Mount
 from estimation.mskf import SPEED, P, V
 from estimation.orientation import matrix
@@ -30,7 +32,7 @@ from estimation.records import (
     Tick,
     Tier,
 )
-from estimation.segments import CONFIRM_START, Context, Decision, Motion
+from estimation.segments import Context, Decision, Motion
 from estimation.settings import EstimatorSettings, MountSettings, SupportSettings
 from estimation.steps import Block, StepBank
 from estimation.track import Step, Track
@@ -48,6 +50,7 @@ KNOWN_SIGMA_M = 0.03  # a stroke known no better than this is a guess
 FORBIDDEN_M = 0.015  # from an end of the stroke
 STOP_UNNOTICED_S = 0.2
 LEAST_UPRIGHT = 0.7  # cosine: a face dips, but not by 45 degrees
+_FELT = {"both": (1, -1), "link": (1,), "base": (-1,)}  # directions, by where the sensor sits
 PERIOD_STEPS = 1.1  # kernels fit step periods within 5 %; they are built on this geometric grid
 
 
@@ -62,6 +65,7 @@ class Pipeline:
         latency_s: float = 0.0175,
         timeout_s: float = 1.0,
         start: Start | None = None,
+        imu_delay_s: float = 0.0037,
     ) -> None:
         mount = mount or MountSettings()
         self._mount = Mount(mount)
@@ -69,12 +73,14 @@ class Pipeline:
         self._support = support or SupportSettings()
         self._settings = estimator or EstimatorSettings()
         self._latency_s = latency_s
+        self._delay_s = imu_delay_s
         self.state = PipelineState.begin(self._support, self._settings, start or Start(), timeout_s)
 
     @staticmethod
     def prepare() -> None:
         """Do beforehand what would delay the first seconds of a live source."""
         StepBank(SAMPLES_PER_STEP / NOMINAL_RATE_HZ).prepare()
+        prepare_bursts(SAMPLES_PER_STEP / NOMINAL_RATE_HZ)
 
     # --- snapshot ---------------------------------------------------------------------------------------------
 
@@ -199,7 +205,7 @@ class Pipeline:
             out.append(Event(step.t_ns, f"{decision} ({_direction_word(s.recogniser.motion)})"))
             self._believe(decision)
             self._run_head_again()
-            if decision is Decision.STOP_CONFIRMED:
+            if decision in (Decision.STOP_CONFIRMED, Decision.STOP_UNSTARTED):
                 out.append(self._summary())
         else:
             for accepted in self._advance(s.head, step):
@@ -233,11 +239,11 @@ class Pipeline:
         steps = bank.add(
             block,
             s.head.gyro_bias[0],
-            recent_event=s.recogniser.recent_event(step.t_ns),
+            since_event_s=s.recogniser.since_event_s(step.t_ns),
             resting=s.head.phase is Phase.REST,
         )
         step.vibration_m_s2 = bank.vibration_m_s2
-        step.step_m_s = steps.x[CONFIRM_START]
+        step.step_m_s = steps.x[Kernel.START_WHOLE]
         s.supervisor.see(step)
         if s.belief.open_free is not None or not self._is_warm(step):
             return None
@@ -278,12 +284,26 @@ class Pipeline:
         end_m = stroke_m if s.head.direction > 0 else 0.0
         near_m = 3.0 * sqrt(sigma**2 + (0.02 * abs(p - s.head.start_m)) ** 2)
         return Context(
-            push_speed=s.head.push.speed,
-            retract_speed=s.head.retract.speed,
-            push_forbidden=self._imu_on == "base" or (known and p > stroke_m - FORBIDDEN_M),
-            retract_forbidden=self._imu_on == "link" or (known and p < FORBIDDEN_M),
+            push_speed=s.head.usual_speed(1),
+            retract_speed=s.head.usual_speed(-1),
+            push_forbidden=known and p > stroke_m - FORBIDDEN_M,
+            retract_forbidden=known and p < FORBIDDEN_M,
             end_expected=abs(p - end_m) < near_m,
+            delay_s=self._delay_s,
+            felt=_FELT[self._imu_on],
+            broken_off_ns=self._broken_off_ns(),
         )
+
+    def _broken_off_ns(self) -> tuple[int, int] | None:
+        """Direction and stop of the last move, if it ended far from its mechanical stop."""
+        s = self.state
+        motion = s.belief.last_motion
+        if motion is None or motion.stop_ns is None or s.head.phase is not Phase.REST:
+            return None
+        stop_m = self._support.stroke_mm / 1e3 if motion.direction > 0 else 0.0
+        if abs(s.head.filter.state.x[P] - stop_m) < 2.0 * FORBIDDEN_M:
+            return None
+        return motion.direction, motion.stop_ns
 
     def _believe(self, decision: Decision) -> None:
         """Bring the belief in line with what the recogniser decided."""
@@ -292,7 +312,7 @@ class Pipeline:
         if decision is Decision.START_PROPOSED:
             # A frame that is a little late says nothing about the sensor.
             s.worst_in_move = CanState.OK if s.can_state is CanState.LATE else s.can_state
-        elif decision is Decision.STOP_CONFIRMED:
+        elif decision in (Decision.STOP_CONFIRMED, Decision.STOP_UNSTARTED):
             s.recogniser.motion = None
 
     def _advance(self, track: Track, step: Step) -> list[bool]:
@@ -335,7 +355,7 @@ class Pipeline:
         s = self.state
         if s.can_state not in (CanState.OK, CanState.BIASED):
             return None
-        return s.slope.moves(sqrt(s.sensor.noise_m2), s.head.push.speed)
+        return s.slope.moves(sqrt(s.sensor.noise_m2), s.head.usual_speed(1))
 
     def _hear_second_opinion(self, step: Step, out: list[Output]) -> None:
         """The displacement sensor moves while rest is believed, or stands while a move is."""
@@ -351,8 +371,13 @@ class Pipeline:
         elif s.head.phase is Phase.CRUISE and motion is not None:
             expected = s.head.filter.state.x[SPEED]
             cruised_s = (s.slope.since_ns - motion.onset_ns) * 1e-9
-            if cruised_s > 1.0 and s.slope.stands(sqrt(s.sensor.noise_m2), expected):
+            if cruised_s < 1.0:
+                return
+            noise_m = sqrt(s.sensor.noise_m2)
+            if s.slope.stands(noise_m, expected):
                 self._stop_where_sensor_stands(step, motion, expected, out)
+            elif s.slope.disagrees(noise_m, expected) and not s.sensor.biased:
+                self._distrust_sensor(step, out)
 
     def _reopen_or_follow(self, step: Step, speed: float, out: list[Output]) -> None:
         s = self.state
@@ -382,6 +407,18 @@ class Pipeline:
         out.append(Event(step.t_ns, "no stop was felt, but the displacement sensor stands: move ended"))
         if s.head.ending is not None:
             out.append(self._summary())
+
+    def _distrust_sensor(self, step: Step, out: list[Output]) -> None:
+        """The ram can change its speed only with a burst, and none was felt: the sensor runs away."""
+        s = self.state
+        since_ns = s.slope.since_ns
+        for reading in [reading for past in s.buffer for reading in past.readings] + s.pending:
+            if reading.t_ns >= since_ns:
+                reading.usable = False
+        s.sensor.distrust()
+        s.slope.clear()
+        self._run_head_again()
+        out.append(Event(step.t_ns, "the displacement sensor changed its speed and the ram did not: not believed"))
 
     def _go_free(self, from_ns: int) -> None:
         s = self.state

@@ -79,14 +79,9 @@ class PipelineState:
             Filter.start(
                 p_m=stroke_m / 2 if believed.displacement_m is None else believed.displacement_m,
                 p_sigma_m=believed.sigma_m if known else stroke_m / sqrt(12.0),
-                scale=settings.can_scale,
-                scale_sigma=settings.can_scale_sigma,
-                offset_sigma_m=settings.can_offset_sigma_mm / 1e3,
-                bow_sigma_m=settings.can_curvature_sigma_mm / 1e3,
-                stroke_m=stroke_m,
-            ),
-            support,
-            settings,
+                support=support,
+                settings=settings,
+            )
         )
         return cls(
             settled=track,

@@ -1,44 +1,59 @@
 """Recognition of moves: when the ram started, which way, when it stopped; proposed early, confirmed a little later.
 
 A proposal costs nothing: the estimator keeps its buffer and runs it again when the decision changes. A move is
-accepted only when the kernels that see more of the burst agree.
+accepted only when the kernels that see more of the burst agree, and when the speed has not come back: a blow or a
+faltering pump makes pulses of speed, no steps.
+
+The size of a step tells what it was: a push that starts and one that stops differ in sign, and a retract is faster.
+So a stop is known even where its start was missed, and the start is then sought among what was not sure enough.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from math import log
 
 import numpy as np
 
-from estimation.kernels import STARTS, STOPS
+from estimation.burst import SLOW_START, START, STOP, Burst, fit_burst
+from estimation.kernels import Kernel
 from estimation.steps import StepBank, Steps
 
-# Kernels by their place in kernels.SPECS
-START_KERNELS = tuple(range(len(STARTS)))
-SLOW_START = START_KERNELS[-1]
-CONFIRM_START = 2  # sees 0.7 s of the burst
-STOP_KERNELS = tuple(range(len(STARTS), len(STARTS) + len(STOPS)))
-CONFIRM_STOP = STOP_KERNELS[-1]
-
-# Evidence wanted, in nats of log likelihood ratio
-START_EVIDENCE = (14.0, 12.0, 10.0, 16.0)  # the wide kernel hears slow sensor noise best
-STOP_EVIDENCE = (12.0, 10.0, 10.0)
-CONFIRM_EVIDENCE, CONFIRM_SLOW_EVIDENCE = 8.0, 14.0
+# Kernels that propose a start or a stop, with the evidence wanted, in nats of log likelihood ratio
+START_EVIDENCE = {
+    Kernel.START_EARLY: 14.0,
+    Kernel.START_HALF: 12.0,
+    Kernel.START_WHOLE: 10.0,
+    Kernel.START_SOFT: 10.0,
+    Kernel.START_SLOW: 10.0,
+}
+STOP_EVIDENCE = {Kernel.STOP_HALF: 12.0, Kernel.STOP_WHOLE: 10.0, Kernel.STOP_LATE: 10.0}
+SLOW_KERNELS = (Kernel.START_SLOW, Kernel.START_SOFT)
+CONFIRM_EVIDENCE, CONFIRM_SLOW_EVIDENCE = 8.0, 9.0
+SUSTAINED_EVIDENCE = 2.0  # of a step against a pulse of speed
 IMPOSSIBLE_DIRECTION = 12.0  # off, for a direction that the position forbids; never a prohibition
+UNSTARTED = 12.0  # off, for a stop of a move whose start was not seen
+UNSTARTED_AFTER_S = 2.0  # an event: its side lobes look like anything
 EXPECTED_END = 5.0  # on, for a stop where the stroke ends
+STOP_ODDS = 2.0  # on, for a stop: a faltering pump is rarer
+QUIET_ODDS = 3.0  # most that the vibration may say for or against a stop
+CANDIDATE_EVIDENCE = 4.0  # a start that was not sure enough is remembered from here on
 
 CONFIRM_AFTER_S = 0.75
-CONFIRM_SLOW_AFTER_S = 1.3
+CONFIRM_SLOW_AFTER_S = 0.8
 CONFIRM_STOP_AFTER_S = 1.3
 SEARCH_S = 0.3  # the refined time lies this close to the proposed one
+FIT_SLACK_S = 0.15  # a fit that lies farther from the kernel's answer has found something else
 STOP_NOT_BEFORE_S = 0.6  # after the onset: the burst rings until then
 STOP_NOT_BEFORE_SLOW_S = 1.3
 STOP_KERNEL_BIAS_S = 0.06  # its largest answer comes so much before the start of deceleration
 QUIET_AFTER_STOP_S = 0.6  # a stop rings too ...
-SLOW_QUIET_AFTER_STOP_S = 1.5  # ... and the wide kernel hears it longer
-RECENT_S = 3.0  # kernels look back less far so soon after an event
+SLOW_QUIET_AFTER_STOP_S = 1.5  # ... and the wide kernels hear it longer
+CANDIDATES = 8
+SURE = 8.0  # nats: such a candidate is believed before the last stop is doubted
+QUIETEST_M_S2 = 0.01  # a vibration below this is none
 
 
 @dataclass(slots=True, frozen=True)
@@ -52,6 +67,8 @@ class Motion:
     stop_ns: int | None = None
     stop_confirmed: bool = False
     cut_ns: int | None = None  # given up here: how it went on is not known
+    start_burst: Burst | None = None
+    stop_burst: Burst | None = None
 
 
 class Decision(StrEnum):
@@ -63,6 +80,7 @@ class Decision(StrEnum):
     STOP_PROPOSED = "stop proposed"
     STOP_CONFIRMED = "stop confirmed"
     STOP_DISCARDED = "stop discarded"
+    STOP_UNSTARTED = "stop of a move whose start was missed"
 
 
 @dataclass(slots=True, frozen=True)
@@ -74,6 +92,9 @@ class Context:
     push_forbidden: bool = False
     retract_forbidden: bool = False
     end_expected: bool = False  # the stroke is predicted to end about now
+    delay_s: float = 0.0  # of the inertial sensor's own filter
+    felt: tuple[int, ...] = (1, -1)  # directions that the sensor can feel
+    broken_off_ns: tuple[int, int] | None = None  # direction and stop of a last move that ended in mid-stroke
 
     def speed(self, direction: int) -> float:
         """Usual speed of a direction."""
@@ -86,10 +107,20 @@ class Context:
 
 
 def evidence(x: float, sigma: float, speed: float, spread: float) -> float:
-    """Log likelihood ratio of a step of size `speed` (spread as a share of it) against none; both in m/s."""
+    """Log likelihood ratio of a step of size `speed` (spread as a share of it) against none; all in m/s, signed."""
     s0 = (1.15 * sigma) ** 2 + 0.0004**2
     s1 = s0 + (spread * speed) ** 2
     return float(0.5 * x * x / s0 - 0.5 * (x - speed) ** 2 / s1 - 0.5 * log(s1 / s0))
+
+
+def sustained_evidence(x: float, sigma: float, speed: float) -> float:
+    """The same of a sustained kernel against a pulse of speed, of which that kernel still hears a share."""
+    s0 = (1.1 * sigma) ** 2 + (0.20 * speed) ** 2
+    s1 = (1.1 * sigma) ** 2 + (0.12 * speed) ** 2
+    pulse, step = 0.25 * speed, 0.96 * speed
+    if x * speed > step * speed:
+        x = step  # more than a whole step speaks for no pulse
+    return float(0.5 * (x - pulse) ** 2 / s0 - 0.5 * (x - step) ** 2 / s1 - 0.5 * log(s1 / s0))
 
 
 @dataclass(slots=True, frozen=True)
@@ -97,6 +128,16 @@ class _Step:
     t_ns: int
     x: float
     sigma: float
+    index: int  # blocks ago
+
+
+@dataclass(slots=True, frozen=True)
+class Candidate:
+    """A start that was not sure enough."""
+
+    t_ns: int
+    direction: int
+    evidence: float
 
 
 @dataclass(slots=True)
@@ -107,10 +148,11 @@ class SegmentRecogniser:
     decide_ns: int = 0  # when the open proposal is due
     last_event_ns: int = -(10**18)
     ignore_before_ns: int = -(10**18)  # steps before this have been judged
+    candidates: list[Candidate] = field(default_factory=list)  # since the last move
 
-    def recent_event(self, t_ns: int) -> bool:
-        """True soon after an onset or a stop."""
-        return t_ns - self.last_event_ns < RECENT_S * 1e9
+    def since_event_s(self, t_ns: int) -> float:
+        """Time since the last onset or stop."""
+        return (t_ns - self.last_event_ns) * 1e-9
 
     @property
     def resting(self) -> bool:
@@ -121,6 +163,7 @@ class SegmentRecogniser:
         """Start anew at rest: what happened until now is explained."""
         self.motion = None
         self.last_event_ns = self.ignore_before_ns = t_ns
+        self.candidates.clear()
 
     def reopen(self, motion: Motion, t_ns: int) -> None:
         """The stop of `motion` was none: look for the true one from about now on."""
@@ -131,30 +174,36 @@ class SegmentRecogniser:
         """Judge one block; at most one decision a block."""
         motion = self.motion
         if motion is None:
-            return self._propose_start(t_ns, steps, bank, context)
+            return self._propose_start(t_ns, steps, bank, context) or self._find_unstarted(steps, bank, context)
         if not motion.confirmed:
             return self._confirm_start(t_ns, motion, bank, context) if t_ns >= self.decide_ns else None
         if motion.stop_ns is None:
             return self._propose_stop(t_ns, motion, steps, bank, context)
         return self._confirm_stop(motion, bank, context) if t_ns >= self.decide_ns else None
 
+    # --- starts -----------------------------------------------------------------------------------------------
+
     def _propose_start(self, t_ns: int, steps: Steps, bank: StepBank, context: Context) -> Decision | None:
         best, found = 0.0, None
-        for kernel, wanted in zip(START_KERNELS, START_EVIDENCE, strict=True):
+        for kernel, wanted in START_EVIDENCE.items():
             x, sigma = steps.x[kernel], steps.sigma[kernel]
             direction = 1 if x > 0 else -1
             speed = context.speed(direction)
-            if not 0.5 * speed < abs(x) < 1.9 * speed:
+            slow = kernel in SLOW_KERNELS
+            if direction not in context.felt or not 0.5 * speed < abs(x) < 1.9 * speed:
                 continue
             onset_ns = bank.event_time_ns(kernel)
             if onset_ns < self.ignore_before_ns:
                 continue
-            if kernel == SLOW_START and onset_ns - self.last_event_ns < SLOW_QUIET_AFTER_STOP_S * 1e9:
+            if slow and onset_ns - self.last_event_ns < SLOW_QUIET_AFTER_STOP_S * 1e9:
                 continue
-            spread = 0.3 if kernel == START_KERNELS[0] else 0.13
-            excess = evidence(abs(x), sigma, speed, spread) - wanted - context.penalty(direction)
+            spread = 0.3 if kernel is Kernel.START_EARLY else 0.13
+            strength = evidence(abs(x), sigma, speed, spread)
+            excess = strength - wanted - context.penalty(direction)
+            if slow and strength > CANDIDATE_EVIDENCE:
+                self._remember(Candidate(onset_ns, direction, strength))
             if excess > best:
-                best, found = excess, Motion(direction, onset_ns, slow=kernel == SLOW_START)
+                best, found = excess, Motion(direction, onset_ns, slow=slow)
         if found is None:
             return None
         self.motion = found
@@ -162,44 +211,86 @@ class SegmentRecogniser:
         self.decide_ns = t_ns + round(after_s * 1e9)
         return Decision.START_PROPOSED
 
+    def _remember(self, candidate: Candidate) -> None:
+        """Keep the strongest, one for each burst."""
+        for i, known in enumerate(self.candidates):
+            if known.direction == candidate.direction and abs(known.t_ns - candidate.t_ns) < 2e9:
+                if known.evidence < candidate.evidence:
+                    self.candidates[i] = candidate
+                return
+        self.candidates.append(candidate)
+        self.candidates.sort(key=lambda one: -one.evidence)
+        del self.candidates[CANDIDATES:]
+
     def _confirm_start(self, t_ns: int, motion: Motion, bank: StepBank, context: Context) -> Decision | None:
         after_s = 1.0 if motion.slow else SEARCH_S
-        sharp = self._largest(bank, CONFIRM_START, motion.onset_ns, after_s)
-        if sharp is not None and self._accept(sharp, bank, context, 0.55, slow=False):
-            return Decision.START_CONFIRMED
-        speed = context.speed(motion.direction)
-        if sharp is None or abs(sharp.x) < 0.7 * speed:
-            due_ns = motion.onset_ns + round((CONFIRM_SLOW_AFTER_S + 1.0) * 1e9)
-            slow = self._largest(bank, SLOW_START, motion.onset_ns, 1.0)
-            if slow is not None and self._accept(slow, bank, context, 0.6, slow=True):
+        sharp = self._largest(bank, Kernel.START_WHOLE, motion.onset_ns, after_s)
+        if sharp is not None:
+            # The side lobes of a large step look like smaller ones of the other sign: the largest of all decides.
+            sustained = self._beside(bank, Kernel.START_SUSTAINED, sharp)
+            if self._accept(sharp, sustained, 0.55, CONFIRM_EVIDENCE, bank, context, slow=False):
                 return Decision.START_CONFIRMED
-            if t_ns < due_ns:
+        speed = context.speed(motion.direction)
+        if sharp is None or abs(sharp.x) < 0.75 * speed:
+            for kernel in SLOW_KERNELS[::-1]:
+                slow = self._largest(bank, kernel, motion.onset_ns, 1.0)
+                if slow is not None and self._accept(
+                    slow, None, 0.6, CONFIRM_SLOW_EVIDENCE, bank, context, slow=True
+                ):
+                    return Decision.START_CONFIRMED
+            if t_ns < motion.onset_ns + round(2.6e9):
                 return None
         self.motion = None
         self.ignore_before_ns = motion.onset_ns + round(SEARCH_S * 1e9)
         return Decision.START_DISCARDED
 
-    def _accept(self, step: _Step, bank: StepBank, context: Context, share: float, slow: bool) -> bool:
+    def _accept(
+        self,
+        step: _Step,
+        sustained: _Step | None,
+        share: float,
+        wanted: float,
+        bank: StepBank,
+        context: Context,
+        *,
+        slow: bool,
+    ) -> bool:
+        """Confirm the start if this step is one, and not the stop of another move or a pulse."""
         direction = 1 if step.x > 0 else -1
         speed = context.speed(direction)
-        if abs(step.x) < share * speed:
+        if abs(step.x) < share * speed or direction not in context.felt:
             return False
-        wanted = CONFIRM_SLOW_EVIDENCE if slow else CONFIRM_EVIDENCE
-        if evidence(abs(step.x), step.sigma, speed, 0.13) - context.penalty(direction) < wanted:
+        strength = evidence(abs(step.x), step.sigma, speed, 0.13) - context.penalty(direction)
+        other = context.speed(-direction)
+        if strength < wanted or strength < evidence(abs(step.x), step.sigma, other, 0.13) - UNSTARTED:
+            return False
+        if sustained is not None and (
+            sustained_evidence(sustained.x * direction, sustained.sigma, speed) < -SUSTAINED_EVIDENCE
+        ):
             return False
         onset_ns = step.t_ns + round(bank.dt_s * 1e9)
-        self.motion = Motion(direction, onset_ns, slow=slow, confirmed=True)
+        prior = SLOW_START if slow else START
+        burst = fit_burst(bank.view(resting=True, delay_s=context.delay_s), prior, onset_ns, stop=False)
+        slack_ns = (0.8 if slow else FIT_SLACK_S) * 1e9
+        if burst is not None and (abs(burst.t_ns - onset_ns) > slack_ns or burst.step_m_s * direction < 0.5 * speed):
+            burst = None
+        if burst is not None:
+            onset_ns = burst.t_ns
+        self.motion = Motion(direction, onset_ns, slow=slow, confirmed=True, start_burst=burst)
         self.last_event_ns = onset_ns
         after_s = STOP_NOT_BEFORE_SLOW_S if slow else STOP_NOT_BEFORE_S
         self.ignore_before_ns = onset_ns + round(after_s * 1e9)
+        self.candidates.clear()
         return True
+
+    # --- stops ------------------------------------------------------------------------------------------------
 
     def _propose_stop(
         self, t_ns: int, motion: Motion, steps: Steps, bank: StepBank, context: Context
     ) -> Decision | None:
         speed = context.speed(motion.direction)
         best, found_ns = 0.0, None
-        for kernel, wanted in zip(STOP_KERNELS, STOP_EVIDENCE, strict=True):
+        for kernel, wanted in STOP_EVIDENCE.items():
             x = -steps.x[kernel] * motion.direction
             stop_ns = bank.event_time_ns(kernel)
             if stop_ns < self.ignore_before_ns or not 0.5 * speed < x < 1.9 * speed:
@@ -217,19 +308,77 @@ class SegmentRecogniser:
     def _confirm_stop(self, motion: Motion, bank: StepBank, context: Context) -> Decision | None:
         assert motion.stop_ns is not None
         speed = context.speed(motion.direction)
-        step = self._largest(bank, CONFIRM_STOP, motion.stop_ns, SEARCH_S, sign=-motion.direction)
-        x = 0.0 if step is None else abs(step.x)
-        if step is None or x < 0.62 * speed or (x < 0.78 * speed and not _slowed(bank, step.t_ns, motion, speed)):
+        step = self._largest(bank, Kernel.STOP_LATE, motion.stop_ns, SEARCH_S, sign=-motion.direction)
+        if step is None or abs(step.x) < 0.62 * speed or self._for_stop(step, motion, bank, context) < 0.0:
             self.motion = replace(motion, stop_ns=None)
             self.ignore_before_ns = motion.stop_ns + round(SEARCH_S * 1e9)
             return Decision.STOP_DISCARDED
-        stop_ns = step.t_ns + round(STOP_KERNEL_BIAS_S * 1e9)
-        self.motion = replace(motion, stop_ns=stop_ns, stop_confirmed=True)
+        stop_ns, burst = self._refined_stop(step, motion.direction, speed, bank, context)
+        self.motion = replace(motion, stop_ns=stop_ns, stop_confirmed=True, stop_burst=burst)
         self.last_event_ns = stop_ns
         self.ignore_before_ns = stop_ns + round(QUIET_AFTER_STOP_S * 1e9)
         return Decision.STOP_CONFIRMED
 
-    def _largest(self, bank: StepBank, kernel: int, t_ns: int, after_s: float, sign: int = 0) -> _Step | None:
+    def _for_stop(self, step: _Step, motion: Motion, bank: StepBank, context: Context) -> float:
+        """Nats for a stop against a mere dip of the speed."""
+        speed = context.speed(motion.direction)
+        sustained = self._beside(bank, Kernel.STOP_SUSTAINED, step)
+        total = STOP_ODDS + EXPECTED_END * context.end_expected
+        total += evidence(abs(step.x), (step.sigma**2 + (0.05 * speed) ** 2) ** 0.5, speed, 0.06)
+        total -= evidence(abs(step.x), (step.sigma**2 + (0.05 * speed) ** 2) ** 0.5, 0.6 * speed, 0.3)
+        total += sustained_evidence(-sustained.x * motion.direction, sustained.sigma, speed)
+        return total + _quiet_evidence(bank, motion, step)
+
+    def _refined_stop(
+        self, step: _Step, direction: int, speed: float, bank: StepBank, context: Context
+    ) -> tuple[int, Burst | None]:
+        stop_ns = step.t_ns + round(STOP_KERNEL_BIAS_S * 1e9)
+        burst = fit_burst(bank.view(resting=False, delay_s=context.delay_s), STOP, stop_ns, stop=True)
+        if burst is None or abs(burst.t_ns - stop_ns) > FIT_SLACK_S * 1e9 or -burst.step_m_s * direction < 0.5 * speed:
+            return stop_ns, None
+        return burst.t_ns, burst
+
+    def _find_unstarted(self, steps: Steps, bank: StepBank, context: Context) -> Decision | None:
+        """A stop at rest: its move was missed, or ended too early in the belief."""
+        x, sigma = steps.x[Kernel.STOP_LATE], steps.sigma[Kernel.STOP_LATE]
+        t_ns = bank.event_time_ns(Kernel.STOP_LATE)
+        direction = -1 if x > 0 else 1
+        speed = context.speed(direction)
+        if direction not in context.felt or t_ns - self.last_event_ns < UNSTARTED_AFTER_S * 1e9:
+            return None
+        if not 0.75 * speed < abs(x) < 1.3 * speed:
+            return None
+        as_start = evidence(abs(x), sigma, context.speed(-direction), 0.13) - context.penalty(-direction)
+        strength = evidence(abs(x), sigma, speed, 0.10)
+        if strength - max(as_start, 0.0) < UNSTARTED:
+            return None
+        largest = self._largest(bank, Kernel.STOP_LATE, t_ns, SEARCH_S, sign=-direction, judged_too=True)
+        if largest is None or largest.index < 2:
+            return None  # still growing
+        sustained = self._beside(bank, Kernel.STOP_SUSTAINED, largest)
+        if sustained_evidence(-sustained.x * direction, sustained.sigma, speed) < SUSTAINED_EVIDENCE:
+            return None
+        stop_ns, burst = self._refined_stop(largest, direction, speed, bank, context)
+        onset_ns = self._missed_onset_ns(direction, context) or stop_ns
+        self.motion = Motion(
+            direction, onset_ns, confirmed=True, stop_ns=stop_ns, stop_confirmed=True, stop_burst=burst
+        )
+        self.last_event_ns = stop_ns
+        self.ignore_before_ns = stop_ns + round(QUIET_AFTER_STOP_S * 1e9)
+        self.candidates.clear()
+        return Decision.STOP_UNSTARTED
+
+    def _missed_onset_ns(self, direction: int, context: Context) -> int | None:
+        """When the move began whose stop has been found: at the best candidate, or where the last one broke off."""
+        likely = [one for one in self.candidates if one.direction == direction]
+        broken_off = context.broken_off_ns
+        if broken_off is not None and broken_off[0] == direction and (not likely or likely[0].evidence < SURE):
+            return broken_off[1]
+        return likely[0].t_ns if likely else None
+
+    # --- history ----------------------------------------------------------------------------------------------
+
+    def _largest(self, bank: StepBank, kernel: Kernel, t_ns: int, after_s: float, sign: int = 0, *, judged_too: bool = False) -> _Step | None:
         """The largest step that one kernel has seen near a time: of one sign, or (0) of either."""
         times = np.fromiter(bank.times_ns, dtype=np.int64)
         post = bank.post_steps[kernel]
@@ -237,23 +386,42 @@ class SegmentRecogniser:
         if judged <= 0:
             return None
         event_times = times[:judged]
-        x = bank.x[-judged:, kernel]
-        earliest_ns = max(t_ns - SEARCH_S * 1e9, self.ignore_before_ns)
+        x = bank.x.values[-judged:, kernel]
+        earliest_ns = t_ns - SEARCH_S * 1e9
+        if not judged_too:
+            earliest_ns = max(earliest_ns, self.ignore_before_ns)
         near = (event_times >= earliest_ns) & (event_times <= t_ns + after_s * 1e9)
         if not near.any():
             return None
         size = np.where(near, np.abs(x) if sign == 0 else sign * x, -np.inf)
         i = int(np.argmax(size))
-        return _Step(int(event_times[i]), float(x[i]), float(bank.sigma[-judged:, kernel][i]))
+        return _Step(int(event_times[i]), float(x[i]), float(bank.sigma.values[-judged:, kernel][i]), judged - 1 - i)
+
+    def _beside(self, bank: StepBank, kernel: Kernel, step: _Step) -> _Step:
+        """What another kernel of the same reach said of the same step, at its best within 0.06 s."""
+        direction = 1.0 if step.x > 0 else -1.0
+        around = range(max(step.index - 6, 0), step.index + 7)
+        rows = bank.x.values
+        best = max((i for i in around if i < len(rows)), key=lambda i: direction * rows[-1 - i, kernel])
+        return _Step(step.t_ns, float(rows[-1 - best, kernel]), float(bank.sigma.values[-1 - best, kernel]), best)
 
 
-def _slowed(bank: StepBank, stop_ns: int, motion: Motion, speed: float) -> bool:
-    """Is the mean speed lower well after the stop? A mere dip of the speed is not."""
-    times = np.fromiter(bank.times_ns, dtype=np.int64)
-    v = np.cumsum(bank.levelled_m_s2[-len(times) :]) * bank.dt_s
-    age_s = (times - stop_ns) * 1e-9
-    before = (age_s > -0.35) & (age_s <= -0.05)
-    after = (age_s >= 0.55) & (age_s <= 0.85)
-    if not before.any() or not after.any():
-        return False
-    return bool((v[before].mean() - v[after].mean()) * motion.direction > 0.45 * speed)
+def _quiet_evidence(bank: StepBank, motion: Motion, step: _Step) -> float:
+    """Nats that the vibration gives for a stop: has it fallen towards what it was at rest, or gone on as in motion?
+
+    Only as far as rest and motion differ at all, and never much: a machine nearby may start or stop.
+    """
+    levels: Sequence[float] = bank.vibration
+    end = len(levels) - 1
+    stop = max(end - step.index - bank.post_steps[Kernel.STOP_LATE], 0)
+    moving = _log_mean(levels[i] for i in range(max(stop - 60, 0), max(stop - 15, 1)))
+    after = _log_mean(levels[i] for i in range(max(end - 12, 0), end + 1))
+    resting = log(bank.level_at_rest_m_s2 + QUIETEST_M_S2)
+    spread = 0.6
+    fall = 0.5 * ((after - moving) ** 2 - (after - min(resting, moving)) ** 2) / spread**2
+    return float(np.clip(fall, -QUIET_ODDS, QUIET_ODDS))
+
+
+def _log_mean(levels: Iterable[float]) -> float:
+    logs = [log(level + QUIETEST_M_S2) for level in levels]
+    return sum(logs) / len(logs)

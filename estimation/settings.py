@@ -76,17 +76,20 @@ class EstimatorSettings(Settings):
     )
     can_offset_sigma_mm: float = Field(1.5, gt=0, le=100, description="offset of the observed displacement [mm]")
     can_scale: float = Field(
-        -0.0075,
+        -0.015,
         ge=-0.5,
         le=0.5,
         description="scale error of the observed displacement to expect before calibration, as a share; negative "
-        "because a sensor that lies oblique to the push reads short, never long",
+        "because a sensor that lies oblique to the push reads short: by up to 15 mm of 500, so half of that",
     )
     can_scale_sigma: float = Field(
-        0.018, gt=0, le=0.5, description="scale error of the observed displacement, as a share"
+        0.010, gt=0, le=0.5, description="how far the scale error may lie from that, as a share"
     )
     can_curvature_sigma_mm: float = Field(
         1.2, gt=0, le=50, description="bow of the observed displacement at half stroke [mm]"
+    )
+    can_latency_sigma_ms: float = Field(
+        8.0, gt=0, le=500, description="how far the age of a reading may lie from `can.displacement.latency_ms` [ms]"
     )
     stop_constraint: bool = Field(
         True,

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 WINDOW_S = 2.0
 READINGS_WANTED = 10
+OTHER_SPEED_SHARE, OTHER_SPEED_SIGMAS = 0.3, 5.5
 MOVING_SHARE, STANDING_SHARE = 0.4, 0.3  # of the usual or expected speed
 
 
@@ -56,6 +57,14 @@ class Slope:
         if fit is None:
             return False
         return abs(fit[0]) < STANDING_SHARE * abs(expected_m_s) and abs(fit[0] - expected_m_s) > 5.0 * fit[1]
+
+    def disagrees(self, noise_m: float, expected_m_s: float) -> bool:
+        """Whether the source moves at quite another speed than is believed."""
+        fit = self.fit(noise_m)
+        if fit is None:
+            return False
+        off = abs(fit[0] - expected_m_s)
+        return off > OTHER_SPEED_SHARE * abs(expected_m_s) and off > OTHER_SPEED_SIGMAS * fit[1]
 
     @property
     def since_ns(self) -> int:

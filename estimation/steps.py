@@ -5,47 +5,44 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections import deque
 from dataclasses import dataclass, field
+from functools import lru_cache
 from math import sqrt
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import PlainSerializer, PlainValidator
 
+from estimation.arrays import FloatArray, Rolling, RollingWindow
+from estimation.burst import BurstView
 from estimation.kernels import (
-    ACCEL_NOISE,
     PRE_LONG_S,
     PRE_SHORT_S,
     SPECS,
     VIBRATION_LEVELS_M_S2,
     KernelBank,
-    kernel_bank,
+    post_steps,
 )
-
-# Lists in a snapshot, arrays in the program.
-Array = Annotated[
-    NDArray[np.float64],
-    PlainValidator(lambda values: np.array(values, dtype=np.float64)),
-    PlainSerializer(lambda a: a.tolist(), return_type=list),
-]
+from estimation.noise import ACCEL_NOISE
+from estimation.spectrum import WHITE_SECOND_DIFFERENCE, WINDOW, VibrationSpectrum, design_lags
 
 HISTORY_S = 3.6  # how far back a decision may look
-OWN_RMS_TIME_S = 8.0
-OWN_RMS_DELAY_S = 2.2  # a burst must have been recognised before its own steps count as rest
+OWN_RMS_TIME_S = 30.0
+OWN_RMS_DELAY_S = 2.6  # a burst must have been recognised before its own steps count as rest
 VIBRATION_TIME_S = 0.5
-BRIDGE_FROM_S = 0.5
+LEVEL_TIME_S = 3.0
 VIBRATION_FAST_TIME_S = 0.25
-# Mean square of the second difference per mean square of band noise (5-60 Hz, 102.4 Hz blocks), and of white noise.
-SECOND_DIFFERENCE_GAIN = 3.8
-SECOND_DIFFERENCE_WHITE = 6.0
+BRIDGE_FROM_S = 0.5
+UNDISTURBED_S = 1.5  # after an event: before, its own ringing would count as vibration
 
+LOOK_AFTER = 8.0  # windows
+OTHER_VIBRATION = 0.15  # difference of unit autocovariances that asks for other kernels
 
-_KERNELS = list(range(len(SPECS)))
+_KERNELS = np.arange(len(SPECS))
 
 
 @dataclass(frozen=True)
 class Steps:
-    """Statistics of one moment: `x` [m/s] and `sigma` [m/s] per kernel of `kernels.SPECS`."""
+    """Statistics of one moment: `x` [m/s] and `sigma` [m/s] per kernel."""
 
     x: tuple[float, ...]
     sigma: tuple[float, ...]
@@ -61,34 +58,116 @@ class Block:
     gravity_m_s2: float
 
 
+@dataclass
+class _Banks:
+    """Kernels with a long and a short look back, in vibration of one autocovariance."""
+
+    long: KernelBank
+    short: KernelBank
+
+    @classmethod
+    def of(cls, dt_s: float, lags: FloatArray) -> _Banks:
+        return cls(KernelBank(dt_s, PRE_LONG_S, lags), KernelBank(dt_s, PRE_SHORT_S, lags))
+
+
+# Follow from the rest of the state: never in a snapshot, made when first wanted.
+_Derived = Annotated[_Banks | None, PlainValidator(lambda _: None), PlainSerializer(lambda _: None)]
+
+
+@dataclass(slots=True)
+class VibrationNoise:
+    """Vibration of one kind of time, rest or motion, and the kernels for it."""
+
+    spectrum: VibrationSpectrum
+    lags: list[float] = field(default_factory=list)  # autocovariance in use; empty = as designed
+    gain: float = 0.0  # of the second difference, for those lags
+    look_at: float = 1.0  # windows, when to look whether they still hold
+    undisturbed: int = 0  # blocks since the last window was learned, or since a disturbance
+    banks: _Derived = None
+
+    def follow(self, window: FloatArray) -> None:
+        """One more undisturbed block, the last of `window` (256,)."""
+        self.undisturbed += 1
+        if self.undisturbed < WINDOW:
+            return
+        self.undisturbed = WINDOW // 2  # windows overlap by half
+        self.spectrum.learn(window)
+        if self.spectrum.windows < self.look_at:
+            return
+        self.look_at = min(2.0 * self.spectrum.windows, self.spectrum.windows + LOOK_AFTER)
+        dt_s = self.spectrum.dt_s
+        n = _longest_window(dt_s)
+        now = self.spectrum.lags(n)
+        in_use = np.array(self.lags) if self.lags else design_lags(dt_s, n)
+        if np.abs(now - in_use).max() > OTHER_VIBRATION:
+            self.lags, self.gain, self.banks = now.tolist(), self.spectrum.second_difference_gain(), None
+
+    @property
+    def measured(self) -> bool:
+        """Whether it is anything else than assumed."""
+        return bool(self.lags)
+
+    def kernels(self) -> _Banks:
+        """The kernels for it."""
+        if self.banks is None:
+            dt_s = self.spectrum.dt_s
+            self.banks = _Banks.of(dt_s, np.array(self.lags)) if self.lags else _designed(dt_s)
+        return self.banks
+
+    def second_difference_gain(self) -> float:
+        """Mean square of the second difference, per mean square."""
+        return self.gain if self.lags else _designed_gain(self.spectrum.dt_s)
+
+
+def _longest_window(dt_s: float) -> int:
+    return max(round(PRE_LONG_S / dt_s), 2) + max(post_steps(dt_s))
+
+
+@lru_cache(maxsize=4)
+def _designed(dt_s: float) -> _Banks:
+    return _Banks.of(dt_s, VibrationSpectrum(dt_s).lags(_longest_window(dt_s)))
+
+
+@lru_cache(maxsize=4)
+def _designed_gain(dt_s: float) -> float:
+    return VibrationSpectrum(dt_s).second_difference_gain()
+
+
 @dataclass(slots=True)
 class StepBank:
     """Feeds blocks to the kernels and keeps what they said; `dt_s` is the block period it was built for."""
 
     dt_s: float
-    push_m_s2: Array = field(default_factory=lambda: np.zeros(0))  # along the push, newest last
-    tilt_rate_rad_s: Array = field(default_factory=lambda: np.zeros(0))  # about x: what turns gravity into push
-    levelled_m_s2: Array = field(default_factory=lambda: np.zeros(0))  # gravity taken out, relative to now
+    push_m_s2: Rolling = field(default_factory=lambda: RollingWindow(np.zeros(0)))  # along the push
+    tilt_rad: Rolling = field(default_factory=lambda: RollingWindow(np.zeros(0)))  # about x, as the gyro says
     blocks: int = 0
     clock_ns: int = 0  # where the last block lies on a time that no loss shortens
-    x: Array = field(default_factory=lambda: np.zeros((0, len(SPECS))))  # newest last
-    sigma: Array = field(default_factory=lambda: np.zeros((0, len(SPECS))))
+    x: Rolling = field(default_factory=lambda: RollingWindow(np.zeros((0, len(SPECS)))))
+    sigma: Rolling = field(default_factory=lambda: RollingWindow(np.zeros((0, len(SPECS)))))
     times_ns: deque[int] = field(default_factory=deque)
     vibration: deque[float] = field(default_factory=deque)
     vibration_slow: float = 0.0
     vibration_fast: float = 0.0
-    own_square: Array = field(default_factory=lambda: np.zeros(len(SPECS)))
+    own_square: list[float] = field(default_factory=lambda: [0.0] * len(SPECS))
     rest_s: float = 0.0
+    level_at_rest_m_s2: float = 0.0  # vibration of the last rest
+    rest_noise: VibrationNoise | None = None
+    move_noise: VibrationNoise | None = None
+    # Of the last block: what turns the tilt into acceleration.
+    gravity_m_s2: float = 9.8
+    gyro_bias_rad_s: float = 0.0
 
     def __post_init__(self) -> None:
-        depth = self.depth
-        if not len(self.push_m_s2):
-            self.push_m_s2, self.tilt_rate_rad_s, self.levelled_m_s2 = np.zeros((3, self._long.window))
-            self.x = np.zeros((depth, len(SPECS)))
-            self.sigma = np.ones((depth, len(SPECS)))
-        windows, histories = (self._long.window,), (depth, len(SPECS))
-        shapes = {self.push_m_s2.shape, self.tilt_rate_rad_s.shape, self.levelled_m_s2.shape}
-        if shapes != {windows} or {self.x.shape, self.sigma.shape} != {histories}:
+        window, depth = _longest_window(self.dt_s), self.depth
+        if not len(self.push_m_s2.values):
+            self.push_m_s2, self.tilt_rad = RollingWindow(np.zeros(window)), RollingWindow(np.zeros(window))
+            self.x = RollingWindow(np.zeros((depth, len(SPECS))))
+            self.sigma = RollingWindow(np.ones((depth, len(SPECS))))
+        if self.rest_noise is None or self.move_noise is None:
+            self.rest_noise = VibrationNoise(VibrationSpectrum(self.dt_s))
+            self.move_noise = VibrationNoise(VibrationSpectrum(self.dt_s))
+        shapes = {self.push_m_s2.values.shape, self.tilt_rad.values.shape}
+        if shapes != {(window,)} or {self.x.values.shape, self.sigma.values.shape} != {(depth, len(SPECS))}:
             raise ValueError("windows and histories do not fit the block period")
         self.times_ns = deque(self.times_ns, maxlen=depth)
         self.vibration = deque(self.vibration, maxlen=depth)
@@ -105,55 +184,84 @@ class StepBank:
 
     def prepare(self) -> None:
         """Compute the kernels now rather than at the first block: that takes a good part of a second."""
-        _ = self._long, self._short
-
-    @property
-    def _long(self) -> KernelBank:
-        return kernel_bank(self.dt_s, PRE_LONG_S)
-
-    @property
-    def _short(self) -> KernelBank:
-        return kernel_bank(self.dt_s, PRE_SHORT_S)
+        banks = _designed(self.dt_s)
+        for level in range(len(VIBRATION_LEVELS_M_S2)):
+            banks.long.prepare(level)
+            banks.short.prepare(level)
 
     @property
     def post_steps(self) -> tuple[int, ...]:
         """Blocks between a step and the moment each kernel sees it whole."""
-        return self._long.post_steps
+        return post_steps(self.dt_s)
 
-    def add(self, block: Block, gyro_bias_rad_s: float, *, recent_event: bool, resting: bool) -> Steps:
-        """Take one block mean; `recent_event` asks for the kernels that look back less far."""
-        for window, value in (
-            (self.push_m_s2, block.push_m_s2),
-            (self.tilt_rate_rad_s, block.tilt_rate_rad_s),
-        ):
-            window[:-1] = window[1:]
-            window[-1] = value
-            if self.blocks == 0:
-                window[:] = value
+    @property
+    def levelled_m_s2(self) -> FloatArray:
+        """The window (n,) of acceleration along the push, gravity taken out relative to now, newest last."""
+        push, tilt = self.push_m_s2.values, self.tilt_rad.values
+        drift = self.gyro_bias_rad_s * self.dt_s
+        since = np.arange(1 - len(push), 1)
+        levelled = push - self.gravity_m_s2 * (tilt - tilt[-1] - drift * since)
+        return np.asarray(levelled - levelled[-1])
+
+    def add(self, block: Block, gyro_bias_rad_s: float, *, since_event_s: float, resting: bool) -> Steps:
+        """Take one block mean.
+
+        `since_event_s`: since the last onset or stop: kernels look back less far soon after one.
+        """
+        if self.blocks == 0:
+            self.push_m_s2.fill(block.push_m_s2)
+            self.tilt_rad.fill(0.0)
+        self.gravity_m_s2, self.gyro_bias_rad_s = block.gravity_m_s2, gyro_bias_rad_s
+        self.push_m_s2.add(block.push_m_s2)
+        self.tilt_rad.add(float(self.tilt_rad.values[-1]) + block.tilt_rate_rad_s * self.dt_s)
         self.blocks += 1
-        # The level cancels in the kernels; taking it out first keeps rounding out too.
-        tilt = np.cumsum((self.tilt_rate_rad_s - gyro_bias_rad_s) * self.dt_s)
-        self.levelled_m_s2 = self.push_m_s2 - block.gravity_m_s2 * tilt
-        self.levelled_m_s2 -= self.levelled_m_s2[-1]
-        self._follow_vibration()
+        levelled = self.levelled_m_s2
+        noise = self._noise(resting)
+        self._follow_vibration(noise)
         self.times_ns.append(block.t_ns)
+        if since_event_s > UNDISTURBED_S and self.blocks > 1:
+            (self.rest_noise if resting else self.move_noise).follow(levelled[-WINDOW:])  # type: ignore[union-attr]
+        else:
+            assert self.rest_noise is not None
+            assert self.move_noise is not None
+            self.rest_noise.undisturbed = self.move_noise.undisturbed = 0
 
-        short = recent_event or self.blocks < self._long.window
-        bank = self._short if short else self._long
-        x = np.zeros(len(SPECS))
-        sigma = np.ones(len(SPECS))
-        if self.blocks >= self._short.window:
-            levels = [self._level(post) for post in bank.post_steps]
-            x = bank.weights[levels, _KERNELS] @ self.levelled_m_s2[-bank.window :]
+        banks = noise.kernels()
+        bank = banks.short if since_event_s < RECENT_S or self.blocks < len(levelled) else banks.long
+        x, sigma = np.zeros(len(SPECS)), np.ones(len(SPECS))
+        if self.blocks >= banks.short.window:
+            levels = self._levels(bank.post_steps)
+            for level in set(levels):
+                bank.prepare(level)
+            x = bank.weights[levels, _KERNELS] @ levelled[-bank.window :]
             sigma = bank.sigma[levels, _KERNELS]
             self._follow_own_rms(resting)
             if self.rest_s > 2.0:
-                np.maximum(sigma, np.sqrt(self.own_square), out=sigma)
-        self.x[:-1] = self.x[1:]
-        self.x[-1] = x
-        self.sigma[:-1] = self.sigma[1:]
-        self.sigma[-1] = sigma
+                sigma = np.maximum(sigma, np.sqrt(self.own_square))
+        self.x.add(x)
+        self.sigma.add(sigma)
         return Steps(tuple(x.tolist()), tuple(sigma.tolist()))
+
+    def view(self, resting: bool, delay_s: float) -> BurstView:
+        """What a fit of the last few seconds needs."""
+        noise = self._noise(resting)
+        w = self.push_m_s2.values
+        second = np.concatenate([[0.0], w[2:] - 2 * w[1:-1] + w[:-2], [0.0]])
+        white = WHITE_SECOND_DIFFERENCE * ACCEL_NOISE**2 / self.dt_s
+        squares = (second**2 - white) / noise.second_difference_gain()
+        return BurstView(
+            self.dt_s,
+            np.fromiter(self.times_ns, dtype=np.int64),
+            self.levelled_m_s2,
+            squares,
+            noise.kernels().long.lags,
+            delay_s=delay_s,
+        )
+
+    def _noise(self, resting: bool) -> VibrationNoise:
+        assert self.rest_noise is not None
+        assert self.move_noise is not None
+        return self.move_noise if not resting and self.move_noise.measured else self.rest_noise
 
     def keep_pace(self, t_ns: int, period_s: float) -> None:
         """Before a block that ends at `t_ns`: put fillers where samples were lost, so that the kernels' time is true.
@@ -174,12 +282,15 @@ class StepBank:
     def _bridge(self, blocks: int, until_ns: int) -> None:
         """Fill with the recent middle: a single block, repeated, would add up to a step."""
         recent = max(round(BRIDGE_FROM_S / self.dt_s), 1)
-        push, tilt_rate = (np.median(w[-recent:]) for w in (self.push_m_s2, self.tilt_rate_rad_s))
+        push = float(np.median(self.push_m_s2.values[-recent:]))
+        turn = float(np.median(np.diff(self.tilt_rad.values[-recent - 1 :])))
         last_ns = self.times_ns[-1]
+        x, sigma = self.x.values[-1].copy(), self.sigma.values[-1].copy()
         for i in range(1, blocks + 1):
-            for window in (self.push_m_s2, self.tilt_rate_rad_s, self.x, self.sigma):
-                window[:-1] = window[1:]
-            self.push_m_s2[-1], self.tilt_rate_rad_s[-1] = push, tilt_rate
+            self.push_m_s2.add(push)
+            self.tilt_rad.add(float(self.tilt_rad.values[-1]) + turn)
+            self.x.add(x)
+            self.sigma.add(sigma)
             self.times_ns.append(last_ns + i * (until_ns - last_ns) // (blocks + 1))
             self.vibration.append(self.vibration_m_s2)
 
@@ -188,29 +299,40 @@ class StepBank:
         back = self.post_steps[kernel] + ago
         return self.times_ns[-1 - back] if back < len(self.times_ns) else self.times_ns[0]
 
-    def _follow_vibration(self) -> None:
-        w = self.push_m_s2
+    def _follow_vibration(self, noise: VibrationNoise) -> None:
+        w = self.push_m_s2.values
         second = float(w[-1] - 2 * w[-2] + w[-3])
-        white = SECOND_DIFFERENCE_WHITE * ACCEL_NOISE**2 / self.dt_s
-        square = second * second - white
+        white = WHITE_SECOND_DIFFERENCE * ACCEL_NOISE**2 / self.dt_s
+        square = (second * second - white) / noise.second_difference_gain()
         self.vibration_slow += min(self.dt_s / VIBRATION_TIME_S, 1.0) * (square - self.vibration_slow)
         self.vibration_fast += min(self.dt_s / VIBRATION_FAST_TIME_S, 1.0) * (square - self.vibration_fast)
-        self.vibration.append((max(self.vibration_slow, 0.0) / SECOND_DIFFERENCE_GAIN) ** 0.5)
+        self.vibration.append(max(self.vibration_slow, 0.0) ** 0.5)
 
-    def _level(self, post: int) -> int:
-        """Vibration level for a kernel: from before the step, raised if it has grown since, within reason."""
-        before = self.vibration[max(len(self.vibration) - 1 - post, 0)]
-        now = sqrt(max(self.vibration_fast, 0.0) / SECOND_DIFFERENCE_GAIN)
-        level = max(before, min(now, 4 * before + 0.06))
-        return min(bisect_left(VIBRATION_LEVELS_M_S2, 0.8 * level), len(VIBRATION_LEVELS_M_S2) - 1)
+    def _levels(self, posts: tuple[int, ...]) -> list[int]:
+        """Vibration level per kernel: from before the step, raised if it has grown since, within reason."""
+        now, last = sqrt(max(self.vibration_fast, 0.0)), len(self.vibration) - 1
+        found: dict[int, int] = {}
+        for post in posts:
+            if post not in found:
+                before = self.vibration[max(last - post, 0)]
+                level = max(before, min(now, 4 * before + 0.06))
+                found[post] = min(bisect_left(VIBRATION_LEVELS_M_S2, 0.8 * level), len(VIBRATION_LEVELS_M_S2) - 1)
+        return [found[post] for post in posts]
 
     def _follow_own_rms(self, resting: bool) -> None:
-        delay = round(OWN_RMS_DELAY_S / self.dt_s)
+        delay = min(round(OWN_RMS_DELAY_S / self.dt_s), self.depth)
         if not resting:
             self.rest_s = -OWN_RMS_DELAY_S
             return
         # The first seconds after a move count for nothing, by the delay alone.
+        if self.rest_s > 0:
+            before = self.vibration[max(len(self.vibration) - 1 - delay, 0)]
+            self.level_at_rest_m_s2 += min(self.dt_s / LEVEL_TIME_S, 1.0) * (before - self.level_at_rest_m_s2)
         self.rest_s = min(self.rest_s + self.dt_s, OWN_RMS_TIME_S)
         if self.rest_s > 0:
             gain = self.dt_s / self.rest_s
-            self.own_square += gain * (self.x[-delay] ** 2 - self.own_square)
+            past = self.x.values[-delay].tolist()
+            self.own_square = [own + gain * (x * x - own) for own, x in zip(self.own_square, past, strict=True)]
+
+
+RECENT_S = 3.0  # kernels look back less far so soon after an event

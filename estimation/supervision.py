@@ -43,7 +43,7 @@ class Supervisor:
         """Is this a motion that no ram makes?"""
         if track.phase is Phase.REST:
             self.limit_m_s2 = max(CALM_ACCELERATION_M_S2, CALM_SIGMAS * track.chart.sigma)
-        fastest = max(track.push.speed, track.retract.speed)
+        fastest = max(track.usual_speed(1), track.usual_speed(-1))
         return (
             abs(step.step_m_s) > UPSET_STEP * fastest
             or abs(track.acceleration_m_s2 - track.chart.centre) > UPSET_ACCELERATION_M_S2

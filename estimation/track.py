@@ -12,12 +12,13 @@ from math import sqrt
 from estimation.belief import Belief, Phase
 from estimation.chart import ControlChart
 from estimation.displacement_sensor import GATE_SIGMAS, TRUST_SIGMAS, Reading
-from estimation.kernels import ACCEL_NOISE
-from estimation.mskf import LEVEL_DRIFT_M_S2, SPEED, Filter, P
+from estimation.gaussian import Gaussian
+from estimation.mskf import LEARNED, LEVEL_DRIFT_M_S2, SPEED, Filter, P, flow_state
+from estimation.noise import ACCEL_NOISE
 from estimation.orientation import IDENTITY, Quaternion, corrected, matrix, propagated
 from estimation.records import Vector
 from estimation.segments import Motion
-from estimation.settings import EstimatorSettings, SupportSettings
+from estimation.settings import EstimatorSettings
 
 SPEED_REACHED_S, SLOW_SPEED_REACHED_S = (0.55, 0.7, 0.85), (1.2, 1.35, 1.5)
 LEVEL_TIME_S = 3.0
@@ -27,6 +28,9 @@ HEALTHY_NIS = 3.0
 READINGS_FOR_EVIDENCE = 10
 STOP_NEAR_SIGMAS, STOP_NEAR_M = 3.0, 0.004
 BEYOND_SIGMAS, BEYOND_M = 4.0, 0.01  # behind a mechanical stop
+LATE_START_S = 0.3  # a move entered later than this had been missed
+DOUBTFUL_READINGS = 8  # outside the gate: from such a move nothing is learned
+STRAY_GAIN, STRAY_SIGMAS = 0.03, 5.0
 
 
 @dataclass(slots=True)
@@ -46,22 +50,6 @@ class Step:
 
 
 @dataclass(slots=True)
-class Flow:
-    """Usual speed of one direction [m/s] and its variance; learned from confirmed full strokes."""
-
-    speed: float
-    variance: float
-    moves: int = 0
-
-    def learn(self, speed: float, variance: float) -> None:
-        """Take the mean speed of one move in, with the variance that it tells of the usual speed."""
-        gain = self.variance / (self.variance + variance)
-        self.speed += gain * (speed - self.speed)
-        self.variance *= 1.0 - gain
-        self.moves += 1
-
-
-@dataclass(slots=True)
 class Ending:
     """How the last move began and ended [m]."""
 
@@ -78,8 +66,9 @@ class Track:
     """State of one pass."""
 
     filter: Filter
-    push: Flow
-    retract: Flow
+    pushes_learned: int = 0  # confirmed strokes that told the usual speed
+    retracts_learned: int = 0
+    remembered: Gaussian | None = None  # what had been learned when the move began
     orientation: Quaternion = IDENTITY
     gravity_m_s2: float = 0.0  # as felt at rest; 0 until the first sample
     gyro_bias: Vector = (0.0, 0.0, 0.0)
@@ -93,33 +82,36 @@ class Track:
     speed_checks: int = 0
     nis: float = 1.0
     readings_in_move: int = 0  # or in the unexplained time
+    rejected_in_move: int = 0
+    stray_m: float = 0.0  # mean innovation at rest: does the ram creep?
     lost_in_move: bool = False  # the unexplained began while the ram moved
     ending: Ending | None = None
+    last_motion: Motion | None = None
     acceleration_m_s2: float = 0.0
     innovation_m: float = float("nan")
     gate_m: float = float("nan")
 
     @classmethod
-    def begin(cls, filter_: Filter, support: SupportSettings, estimator: EstimatorSettings) -> Track:
+    def begin(cls, filter_: Filter) -> Track:
         """At rest, nothing learned."""
-        push, retract = support.nominal_push_speed_mm_s / 1e3, support.nominal_retract_speed_mm_s / 1e3
-        doubt = estimator.speed_sigma_machine
-        return cls(filter_, Flow(push, (doubt * push) ** 2), Flow(retract, (doubt * retract) ** 2))
+        return cls(filter_)
 
     def copy(self) -> Track:
         """Independent copy."""
         return replace(
             self,
             filter=self.filter.copy(),
-            push=replace(self.push),
-            retract=replace(self.retract),
             chart=replace(self.chart),
             ending=None if self.ending is None else replace(self.ending),
         )
 
-    def flow(self, direction: int) -> Flow:
-        """Flow of a direction."""
-        return self.push if direction > 0 else self.retract
+    def usual_speed(self, direction: int) -> float:
+        """Usual speed of a direction [m/s], positive."""
+        return self.filter.state.x[flow_state(direction)]
+
+    def strokes_learned(self, direction: int) -> int:
+        """How many confirmed strokes have told that speed."""
+        return self.pushes_learned if direction > 0 else self.retracts_learned
 
     def advance(self, step: Step, belief: Belief, settings: EstimatorSettings, latency_s: float) -> list[bool]:
         """Go one step on. Returns, for each usable reading of the step, whether it lay within the gate."""
@@ -195,8 +187,10 @@ class Track:
         """Leave one phase and enter another."""
         moving = (Phase.START, Phase.CRUISE, Phase.STOP)
         if phase in moving and self.phase not in moving and motion is not None:
-            self._begin_move(motion, settings)
+            self._begin_move(motion, step, settings)
         if phase is Phase.CRUISE:
+            if motion is not None and motion.start_burst is not None:
+                self.filter.hear_burst(motion.start_burst.step_m_s, motion.start_burst.sigma_m_s)
             self.filter.enter_cruise()
         elif phase is Phase.FREE:
             self.lost_in_move = self.phase in moving
@@ -207,18 +201,23 @@ class Track:
             if self.lost_in_move and self.readings_in_move < READINGS_FOR_EVIDENCE:
                 self.filter.lose_place()
         elif phase is Phase.REST and self.phase is Phase.STOP:
-            self._end_move(step, settings)
+            self._end_move(self.last_motion, step, settings)
         self.phase = phase
+        self.last_motion = motion
 
-    def _begin_move(self, motion: Motion, settings: EstimatorSettings) -> None:
+    def _begin_move(self, motion: Motion, step: Step, settings: EstimatorSettings) -> None:
         self.started += 1
         self.direction = motion.direction
         self.start_m = self.filter.state.x[P]
         self.speed_checks = 0
-        self.nis, self.readings_in_move = 1.0, 0
-        flow = self.flow(motion.direction)
-        sigma = sqrt(flow.variance + (settings.speed_sigma_cycle * flow.speed) ** 2)
-        self.filter.begin_move(motion.direction * flow.speed, sigma)
+        self.nis, self.readings_in_move, self.rejected_in_move = 1.0, 0, 0
+        self.remembered = self.filter.state.block(LEARNED)
+        self.filter.begin_move(motion.direction, settings.speed_sigma_cycle)
+        late_s = (step.t_ns - motion.onset_ns) * 1e-9
+        if late_s > LATE_START_S:
+            self.filter.catch_up(late_s)
+        elif motion.stop_ns is not None and motion.onset_ns >= motion.stop_ns:
+            self.filter.lose_way(motion.direction)
 
     def _check_speed(self, step: Step, motion: Motion) -> None:
         checks = SLOW_SPEED_REACHED_S if motion.slow else SPEED_REACHED_S
@@ -226,19 +225,24 @@ class Track:
             self.speed_checks += 1
             self.filter.speed_reached(step.vibration_m_s2)
 
-    def _end_move(self, step: Step, settings: EstimatorSettings) -> None:
+    def _end_move(self, motion: Motion | None, step: Step, settings: EstimatorSettings) -> None:
+        if motion is not None and motion.stop_burst is not None:
+            self.filter.hear_burst(-motion.stop_burst.step_m_s, motion.stop_burst.sigma_m_s)
         self.filter.stopped(step.vibration_m_s2)
         state = self.filter.state
         before_m, sigma_before_m = state.x[P], state.sigma(P)
         if max(-before_m, before_m - self.filter.stroke_m) > BEYOND_M + BEYOND_SIGMAS * sigma_before_m:
             self.filter.lose_place()  # no ram goes there: a move before was missed, or was none
+        doubtful = self.nis > HEALTHY_NIS or self.rejected_in_move >= DOUBTFUL_READINGS
         stop_m = self._stop_reached(before_m, sigma_before_m) if settings.stop_constraint else None
         if stop_m is not None:
             self.filter.at_stop(stop_m, settings.stop_sigma_mm / 1e3)
-            flow = self.flow(self.direction)
-            cycle = settings.speed_sigma_cycle * flow.speed
-            flow.learn(abs(state.x[SPEED]), state.p[SPEED][SPEED] + cycle**2)
+            if not doubtful:
+                self.pushes_learned += self.direction > 0
+                self.retracts_learned += self.direction < 0
         self.ending = Ending(self.start_m, before_m, sigma_before_m, state.x[P], state.sigma(P), state.x[SPEED])
+        if doubtful and self.remembered is not None:
+            self.filter.state.set_block(LEARNED, self.remembered)
 
     def _stop_reached(self, p_m: float, sigma_m: float) -> float | None:
         """The mechanical stop that the move ended at, if there is evidence for it.
@@ -248,7 +252,7 @@ class Track:
         stop_m = self.filter.stroke_m if self.direction > 0 else 0.0
         near = abs(p_m - stop_m) < max(STOP_NEAR_SIGMAS * sigma_m, STOP_NEAR_M)
         agreed = self.readings_in_move >= READINGS_FOR_EVIDENCE and self.nis < HEALTHY_NIS
-        return stop_m if near and (agreed or self.flow(self.direction).moves > 0) else None
+        return stop_m if near and (agreed or self.strokes_learned(self.direction) > 0) else None
 
     def _observe(self, reading: Reading, now_ns: int, latency_s: float) -> bool:
         """Use one reading of the displacement sensor, unless it lies outside the gate."""
@@ -263,7 +267,18 @@ class Track:
         if accepted and reading.trusted:
             self.readings_in_move += 1
             self.filter.state.measure(row, self.innovation_m, reading.variance_m2)
+            if self.phase is Phase.REST:
+                self._watch_creep(variance)
+        else:
+            self.rejected_in_move += not accepted
         return accepted
+
+    def _watch_creep(self, variance: float) -> None:
+        """A leaking valve lets the ram creep: seen as innovations that stay on one side."""
+        self.stray_m += STRAY_GAIN * (self.innovation_m - self.stray_m)
+        if abs(self.stray_m) > STRAY_SIGMAS * sqrt(0.5 * STRAY_GAIN * variance):
+            self.filter.state.diffuse(P, self.stray_m**2)
+            self.stray_m = 0.0
 
 
 def _norm(v: Vector) -> float:

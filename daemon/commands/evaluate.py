@@ -42,7 +42,7 @@ def run(arguments: argparse.Namespace) -> int:
     from daemon import terminal
     from daemon.errors import UsageError
     from daemon.offline.evaluation import MODES, evaluate, summarise, summarise_clock
-    from drivers.virtual.motion import SCENARIOS
+    from drivers.virtual.scenarios import SCENARIOS
 
     if arguments.scenario not in SCENARIOS:
         raise UsageError(f"--scenario {arguments.scenario}: choose one of {', '.join(SCENARIOS)}")

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from drivers.adis16448.registers import ACCEL_LSB, GYRO_LSB_DPS
 from drivers.virtual.adis16448_signal import HISTORY, FilterPath
-from drivers.virtual.motion import SCENARIOS, TrueMove
+from drivers.virtual.motion import TrueMove
+from drivers.virtual.scenarios import SCENARIOS
 from drivers.virtual.support import VirtualSupport
 from estimation.pipeline import Pipeline, Start
 from estimation.records import Displacement, Estimate, ImuSample, Move, MoveKind, Record, Tier

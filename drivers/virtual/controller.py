@@ -30,6 +30,18 @@ _NO_EMERGENCY = (0x0000, 0x00)
 
 
 @dataclass(slots=True, frozen=True)
+class SensorSpread:
+    """Distributions from which a controller's displacement sensor is drawn; by default such as supports have."""
+
+    rate_hz: tuple[float, float] = (10.0, 20.0)
+    sigma_m: tuple[float, float] = (0.002, 0.005)
+    offset_sigma_m: float = 0.0015
+    short_m: tuple[float, float] = (0.005, 0.01475)
+    latency_s: tuple[float, float] = (0.005, 0.030)
+    dropouts_per_s: float = 0.02
+
+
+@dataclass(slots=True, frozen=True)
 class SensorParameters:
     """How one controller's displacement differs from the truth; by default only by its whole millimetres."""
 
@@ -43,15 +55,16 @@ class SensorParameters:
     dropout_s: tuple[float, float] = (0.2, 1.0)
 
     @classmethod
-    def draw(cls, rng: np.random.Generator) -> SensorParameters:
+    def draw(cls, rng: np.random.Generator, spread: SensorSpread | None = None) -> SensorParameters:
         """A sensor such as supports have: noisy, late, oblique by up to 14.75 mm, now and then silent."""
+        spread = spread or SensorSpread()
         return cls(
-            rate_hz=rng.uniform(10.0, 20.0),
-            sigma_m=rng.uniform(0.002, 0.005),
-            offset_m=rng.normal(0.0, 0.0015),
-            short_at_full_stroke_m=rng.uniform(0.005, 0.01475),
-            latency_s=rng.uniform(0.005, 0.030),
-            dropouts_per_s=0.02,
+            rate_hz=rng.uniform(*spread.rate_hz),
+            sigma_m=rng.uniform(*spread.sigma_m),
+            offset_m=rng.normal(0.0, spread.offset_sigma_m),
+            short_at_full_stroke_m=rng.uniform(*spread.short_m),
+            latency_s=rng.uniform(*spread.latency_s),
+            dropouts_per_s=spread.dropouts_per_s,
         )
 
 

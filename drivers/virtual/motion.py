@@ -7,8 +7,9 @@ Support axes: x across, y along the push, z up. All arrays are sampled at `RATE_
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +22,25 @@ Range = tuple[float, float]
 
 
 @dataclass(frozen=True)
+class BurstSpread:
+    """Range of burst shapes: second-order response to a ramp of the command."""
+
+    frequency_hz: Range
+    damping: Range
+    ramp_s: Range
+
+    def draw(self, rng: np.random.Generator) -> _Burst:
+        """One machine's own shape."""
+        return _Burst(rng.uniform(*self.frequency_hz), rng.uniform(*self.damping), rng.uniform(*self.ramp_s))
+
+
+@dataclass(frozen=True)
 class Scenario:
     """Distributions from which a virtual machine and its moves are drawn."""
 
+    start: BurstSpread = BurstSpread((5, 9), (0.10, 0.25), (0.05, 0.12))
+    hard_stop: BurstSpread = BurstSpread((7, 13), (0.10, 0.25), (0.03, 0.06))
+    valve_ramp_s: Range = (0.06, 0.15)  # a stop by the valve is softer than one at the end of the stroke
     vibration_m_s2: Range = (0.05, 0.30)
     vibration_at_rest: float = 0.12  # share of the moving level
     vibration_band_hz: Range = (5.0, 60.0)
@@ -31,14 +48,23 @@ class Scenario:
     tilt_step_deg: float = 0.04
     speed_sigma_machine: float = 0.02
     speed_sigma_cycle: float = 0.015
+    ripple: float = 0.008  # slow part, share of the speed
+    ripple_time_s: float = 3.0
+    ripple_tone: Range = (0.003, 0.010)  # amplitude, share of the speed
+    ripple_tone_hz: Range = (4.0, 9.0)
     end_stop_sigma_m: float = 0.0005
     temperature_rise_c: float = 0.5
-
-
-SCENARIOS: dict[str, Scenario] = {
-    "nominal": Scenario(),
-    "lab_bench": Scenario(vibration_m_s2=(0.005, 0.02), tilt_deg=(0.003, 0.01), tilt_step_deg=0.002),
-}
+    felt: Literal["both", "push", "retract"] = "both"  # moves in which the sensor's carrier moves
+    dips_per_s: float = 0.0  # of the speed, when the pump falters
+    dip_depth: Range = (0.3, 0.7)
+    dip_s: Range = (0.15, 0.45)
+    creep_m_s: float = 0.0  # of a resting ram whose valve leaks: largest speed
+    blows_per_s: float = 0.0  # against the resting support
+    blow_m_s: Range = (0.01, 0.05)  # largest speed of the carrier after a blow
+    leans_per_s: float = 0.0  # a neighbour tilts the resting support
+    lean_deg: float = 0.3
+    switches_per_s: float = 0.0  # a machine nearby starts or stops: the vibration at rest changes
+    switched_on: float = 1.0  # share of the moving level while it runs
 
 
 @dataclass(frozen=True)
@@ -51,11 +77,12 @@ class PlannedMove:
     hard_stop: bool = True
 
 
-def full_cycle(
-    stroke_m: float = 0.5, push_m_s: float = 0.01453, retract_m_s: float = 0.03519
-) -> tuple[PlannedMove, ...]:
+def full_cycle(stroke_m: float = 0.5, push_m_s: float = 0.01453, retract_m_s: float = 0.03519) -> Script:
     """Rest 10 s, full push, rest 20 s, full retract."""
     return (PlannedMove(10.0, stroke_m, push_m_s), PlannedMove(20.0, 0.0, retract_m_s))
+
+
+Script = tuple[PlannedMove, ...]
 
 
 @dataclass(frozen=True)
@@ -148,25 +175,27 @@ class Machine:
     position_m: float = 0.0
 
     def __post_init__(self) -> None:
-        uniform = self.rng.uniform
-        self.start = _Burst(uniform(5, 9), uniform(0.10, 0.25), uniform(0.05, 0.12))
-        self.hard_stop = _Burst(uniform(7, 13), uniform(0.10, 0.25), uniform(0.03, 0.06))
+        uniform, scenario = self.rng.uniform, self.scenario
+        self.start = scenario.start.draw(self.rng)
+        self.hard_stop = scenario.hard_stop.draw(self.rng)
         self.valve_stop = replace(
-            self.hard_stop, frequency_hz=0.8 * self.hard_stop.frequency_hz, ramp_s=uniform(0.06, 0.15)
+            self.hard_stop,
+            frequency_hz=0.8 * self.hard_stop.frequency_hz,
+            ramp_s=uniform(*scenario.valve_ramp_s),
         )
-        self.speed_factor = self.rng.normal(1.0, self.scenario.speed_sigma_machine)
-        self.vibration_m_s2 = uniform(*self.scenario.vibration_m_s2)
-        self.tilt_rad = np.radians(uniform(*self.scenario.tilt_deg))
-        self.ripple = (uniform(0.003, 0.010), uniform(4.0, 9.0))  # amplitude, Hz
+        self.speed_factor = self.rng.normal(1.0, scenario.speed_sigma_machine)
+        self.vibration_m_s2 = uniform(*scenario.vibration_m_s2)
+        self.tilt_rad = np.radians(uniform(*scenario.tilt_deg))
+        self.ripple = (uniform(*scenario.ripple_tone), uniform(*scenario.ripple_tone_hz))  # amplitude, Hz
         self.temperature_c = 25.0
         self._tilt_now = np.zeros(2)  # pitch, roll [rad]
 
-    def cycles(self, script: tuple[PlannedMove, ...] | None = None, rest_after_s: float = 0.0) -> Iterator[Trajectory]:
-        """The script again and again, for ever."""
-        while True:
-            yield self.trajectory(script or full_cycle(), rest_after_s)
+    def play(self, scripts: Iterable[Script], rest_after_s: float = 0.0) -> Iterator[Trajectory]:
+        """One script after the other."""
+        for script in scripts:
+            yield self.trajectory(script, rest_after_s)
 
-    def trajectory(self, script: tuple[PlannedMove, ...], rest_after_s: float = 10.0) -> Trajectory:
+    def trajectory(self, script: Script, rest_after_s: float = 10.0) -> Trajectory:
         """Play one script from the present position; its clock starts at zero."""
         longest_s = sum(m.rest_before_s + 1.2 * STROKE_LIMIT_M / m.speed_m_s + 2.0 for m in script)
         ripple = self._ripple(np.arange(int((longest_s + rest_after_s) * RATE_HZ)) / RATE_HZ)
@@ -177,20 +206,26 @@ class Machine:
             now, position = move.truth.stop_s + 1.0, move.truth.end_m
         t_s = np.arange(int((now + rest_after_s) * RATE_HZ)) / RATE_HZ
 
-        velocity, accel, moving = np.zeros_like(t_s), np.zeros_like(t_s), np.zeros_like(t_s)
+        velocity, accel, moving, resting = np.zeros_like(t_s), np.zeros_like(t_s), np.zeros_like(t_s), np.ones_like(t_s)
         for move in played:
             move_velocity, move_accel = move.kinematics(t_s, ripple[: len(t_s)])
             velocity += move_velocity
-            accel += move_accel
-            moving = np.maximum(moving, move.activity(t_s))
+            resting = np.minimum(resting, 1 - move.activity(t_s))
+            if self._is_felt(move.truth):
+                accel += move_accel
+                moving = np.maximum(moving, move.activity(t_s))
+        velocity += self._creep(t_s, resting)
         displacement = self.position_m + np.concatenate(
             ([0.0], np.cumsum((velocity[1:] + velocity[:-1]) / (2 * RATE_HZ)))
         )
         moves = tuple(move.truth for move in played)
-        self.position_m = position
+        self.position_m = float(displacement[-1]) if self.scenario.creep_m_s else position
 
-        pitch, roll = self._tilt(t_s, moving > 0.5, [t for move in moves for t in (move.onset_s, move.stop_s)])
+        felt = [move for move in moves if self._is_felt(move)]
+        pitch, roll = self._tilt(t_s, moving > 0.5, [t for move in felt for t in (move.onset_s, move.stop_s)])
+        pitch = pitch + self._leaning(t_s, resting)
         vibration = self._vibration(t_s, moving)
+        vibration[:, 1] += self._blows(t_s, resting)
         inertial = np.column_stack([np.zeros_like(accel), accel, np.zeros_like(accel)]) + vibration
         return Trajectory(
             t_s=t_s,
@@ -224,10 +259,59 @@ class Machine:
         """Pump ripple as a share of the speed: 0.8 % wandering over 3 s, and a tone."""
         amplitude, hertz = self.ripple
         tone = amplitude * np.sin(2 * np.pi * hertz * t_s + self.rng.uniform(0, 2 * np.pi))
-        return 0.008 * _wander(self.rng, t_s, 3.0) + tone
+        slow = self.scenario.ripple * _wander(self.rng, t_s, self.scenario.ripple_time_s)
+        return slow + tone + self._dips(t_s)
+
+    def _dips(self, t_s: FloatArray) -> FloatArray:
+        """Moments in which the pump gives less, as a share of the speed."""
+        dips = np.zeros_like(t_s)
+        for begin_s in self._times(t_s, self.scenario.dips_per_s):
+            depth, length_s = self.rng.uniform(*self.scenario.dip_depth), self.rng.uniform(*self.scenario.dip_s)
+            edge = np.clip(np.minimum(t_s - begin_s, begin_s + length_s - t_s) / 0.1, 0.0, 1.0)
+            dips -= depth * np.sin(0.5 * np.pi * edge) ** 2
+        return np.maximum(dips, -0.9)
+
+    def _times(self, t_s: FloatArray, per_s: float) -> list[float]:
+        """Moments of a Poisson process."""
+        if not per_s:
+            return []  # draws nothing, so that one scenario's seeds stay what they were
+        span_s = float(t_s[-1] - t_s[0])
+        return sorted(self.rng.uniform(t_s[0], t_s[-1], self.rng.poisson(per_s * span_s)).tolist())
+
+    def _is_felt(self, move: TrueMove) -> bool:
+        """Does the part of the support that carries the sensor move?"""
+        return self.scenario.felt in ("both", "push" if move.speed_m_s > 0 else "retract")
+
+    def _creep(self, t_s: FloatArray, resting: FloatArray) -> FloatArray:
+        if not self.scenario.creep_m_s:
+            return np.zeros_like(t_s)
+        return np.asarray(resting * self.rng.uniform(-1.0, 1.0) * self.scenario.creep_m_s)
+
+    def _leaning(self, t_s: FloatArray, resting: FloatArray) -> FloatArray:
+        """Pitch [rad] that a neighbour gives the resting support."""
+        angle = np.zeros_like(t_s)
+        for begin_s in self._times(t_s, self.scenario.leans_per_s):
+            if resting[int((begin_s - t_s[0]) * RATE_HZ)] > 0.99:
+                step = np.radians(self.rng.normal(0.0, self.scenario.lean_deg))
+                angle += step * (1 - np.exp(-np.maximum(t_s - begin_s, 0.0) / 0.5))
+        return angle
+
+    def _blows(self, t_s: FloatArray, resting: FloatArray) -> FloatArray:
+        """Acceleration of the carrier after blows: it swings and comes to rest where it was."""
+        accel = np.zeros_like(t_s)
+        for begin_s in self._times(t_s, self.scenario.blows_per_s):
+            if resting[int((begin_s - t_s[0]) * RATE_HZ)] > 0.99:
+                peak, hertz = self.rng.uniform(*self.scenario.blow_m_s), self.rng.uniform(3.0, 12.0)
+                since = np.maximum(t_s - begin_s, 0.0)
+                swing = np.sin(2 * np.pi * hertz * since) * np.exp(-since / 0.15)
+                accel += self.rng.choice([-1.0, 1.0]) * peak * np.gradient(swing, t_s)
+        return accel
 
     def _vibration(self, t_s: FloatArray, moving: FloatArray) -> FloatArray:
-        rest = self.scenario.vibration_at_rest
+        rest: float | FloatArray = self.scenario.vibration_at_rest
+        if switches := self._times(t_s, self.scenario.switches_per_s):
+            on = np.searchsorted(switches, t_s) % 2 == 1
+            rest = np.where(on, self.scenario.switched_on, rest)
         level = self.vibration_m_s2 * (rest + (1 - rest) * moving)
         level = level * np.exp(0.3 * _wander(self.rng, t_s, 1.0))
         band = _band_noise(self.rng, len(t_s), 3, self.scenario.vibration_band_hz)

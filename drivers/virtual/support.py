@@ -6,13 +6,29 @@ import threading
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import chain, repeat
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.virtual.controller import Observation, ObservedDisplacement, SensorParameters, exact_observations
+from drivers.virtual.controller import (
+    Observation,
+    ObservedDisplacement,
+    SensorParameters,
+    SensorSpread,
+    exact_observations,
+)
 from drivers.virtual.inertial_input import InertialBlock
-from drivers.virtual.motion import RATE_HZ, FloatArray, Machine, PlannedMove, Scenario, Trajectory, TrueMove
+from drivers.virtual.motion import (
+    RATE_HZ,
+    FloatArray,
+    Machine,
+    Scenario,
+    Script,
+    Trajectory,
+    TrueMove,
+    full_cycle,
+)
 from drivers.virtual.sensor_errors import SensorErrors
 
 MOUNTING_ERROR_DEG = 3.0
@@ -40,9 +56,12 @@ class VirtualSupport:
     Args:
         seed: of machine, sensors and noise; each has its own stream, so that one does not disturb another.
         scenario: distributions of the motion.
+        displacement_sensor: distributions of the controller's displacement sensor.
         start_ns: when the motion begins.
         cycles: how many times the script is played; None = for ever.
         script: moves of one cycle; None = a full push and retract.
+        warm_up: as many full cycles are played before.
+        clock_error: of the inertial sensor's sample rate, as a share; None = drawn.
         sensor_axes: (3, 3), turns support axes (x across, y push, z up) into nominal sensor axes.
     """
 
@@ -51,26 +70,40 @@ class VirtualSupport:
         seed: int,
         scenario: Scenario | None = None,
         *,
+        displacement_sensor: SensorSpread | None = None,
         start_ns: int = 0,
         cycles: int | None = None,
-        script: tuple[PlannedMove, ...] | None = None,
+        script: Script | None = None,
+        warm_up: int = 0,
+        clock_error: float | None = None,
         sensor_axes: FloatArray | None = None,
     ) -> None:
         machine, sensor, controller, mounting, clock = np.random.default_rng(seed).spawn(5)
         self.start_ns = start_ns
         self.sensor_errors = SensorErrors(sensor)
-        self.sample_rate_hz = RATE_HZ * (1 + clock.uniform(-CLOCK_ERROR, CLOCK_ERROR))
-        self.controller_parameters = SensorParameters.draw(controller)
+        drawn = clock.uniform(-CLOCK_ERROR, CLOCK_ERROR)
+        self.sample_rate_hz = RATE_HZ * (1 + (drawn if clock_error is None else clock_error))
+        self.controller_parameters = SensorParameters.draw(controller, displacement_sensor)
         self._controller_rng = controller
         axes = np.eye(3) if sensor_axes is None else sensor_axes
         tilt = np.radians(mounting.uniform(-MOUNTING_ERROR_DEG, MOUNTING_ERROR_DEG, 3))
         self._to_sensor = _small_rotation(tilt) @ axes
-        self._cycles = _Cycles(Machine(machine, scenario or Scenario()), script, cycles)
+        played = repeat(script or full_cycle(), *(() if cycles is None else (cycles,)))
+        count = None if cycles is None else warm_up + cycles
+        scripts = chain(repeat(full_cycle(), warm_up), played)
+        self._cycles = _Cycles(Machine(machine, scenario or Scenario()).play(scripts, END_STILLNESS_S), count)
 
     def true_moves(self) -> tuple[TrueMove, ...]:
         """What really happened in the first cycle, times relative to the start."""
         placed = self._cycles.get(0)
         return () if placed is None else placed.trajectory.moves
+
+    def placed(self, number: int) -> PlacedTrajectory:
+        """Cycle `number` of a run with an end, at its place in time. Raises ValueError if there is none."""
+        placed = self._cycles.get(number)
+        if placed is None:
+            raise ValueError(f"the virtual support makes no cycle {number}")
+        return placed
 
     def truth(self) -> Trajectory:
         """The first cycle. Raises ValueError if there is none."""
@@ -133,23 +166,24 @@ class SupportInput:
 class _Cycles:
     """Trajectories by number, made one ahead in a thread of their own: making one takes longer than a sample."""
 
-    def __init__(self, machine: Machine, script: tuple[PlannedMove, ...] | None, count: int | None) -> None:
+    def __init__(self, made: Iterator[Trajectory], count: int | None) -> None:
         self._count = count
-        self._made = machine.cycles(script, END_STILLNESS_S)
+        self._made = made
         self._start_s = 0.0
         self._lock = threading.Lock()
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="virtual-motion")
         self._futures: dict[int, Future[PlacedTrajectory]] = {}
 
     def get(self, number: int) -> PlacedTrajectory | None:
-        """Trajectory `number`, None beyond the last; remembers the last three."""
+        """Trajectory `number`, None beyond the last; remembers the last three of an endless run."""
         if self._count is not None and number >= self._count:
             return None
         with self._lock:
             for wanted in (number, number + 1):
                 if wanted not in self._futures and (self._count is None or wanted < self._count):
                     self._futures[wanted] = self._worker.submit(self._make)
-            self._futures.pop(number - 3, None)
+            if self._count is None:
+                self._futures.pop(number - 3, None)
             future = self._futures[number]
         return future.result()
 

@@ -13,13 +13,13 @@ from scipy import signal
 from drivers.virtual.motion import (
     GRAVITY,
     RATE_HZ,
-    SCENARIOS,
     Machine,
     PlannedMove,
     Scenario,
     Trajectory,
     full_cycle,
 )
+from drivers.virtual.scenarios import SCENARIOS
 
 Floats = NDArray[np.float64]
 STILL = Scenario(vibration_m_s2=(0.0, 0.0), tilt_deg=(0.0, 0.0), tilt_step_deg=0.0)

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from drivers.adis16448.registers import ACCEL_LSB, GYRO_LSB_DPS
-from drivers.virtual.motion import SCENARIOS, PlannedMove, TrueMove
+from drivers.virtual.motion import PlannedMove, TrueMove
+from drivers.virtual.scenarios import SCENARIOS
 from drivers.virtual.support import VirtualSupport
 from estimation.pipeline import Pipeline
 from estimation.records import Displacement, Estimate, Event, ImuSample, Move, Output, Record, Tier
