@@ -53,6 +53,15 @@ class Belief:
         return last if isinstance(last, Motion) else None
 
     @property
+    def last_settled_motion(self) -> Motion | None:
+        """The last move that has ended, though a start be proposed already; None if other things came after it."""
+        items = self.items
+        if items and isinstance(items[-1], Motion) and not items[-1].confirmed:
+            items = items[:-1]
+        last = items[-1] if items else None
+        return last if isinstance(last, Motion) and last.stop_confirmed else None
+
+    @property
     def open_free(self) -> Free | None:
         """The unexplained time that still goes on."""
         last = self.items[-1] if self.items else None
@@ -76,6 +85,8 @@ class Belief:
             self.items.pop()
             return
         assert motion is not None
+        if decision is Decision.STOP_UNSTARTED and self.last_motion is not None and not self.last_motion.confirmed:
+            self.items.pop()  # a start that was proposed meanwhile
         if decision in (Decision.START_PROPOSED, Decision.STOP_UNSTARTED):
             self.items.append(motion)
         else:

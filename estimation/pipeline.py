@@ -206,6 +206,8 @@ class Pipeline:
             self._believe(decision)
             self._run_head_again()
             if decision in (Decision.STOP_CONFIRMED, Decision.STOP_UNSTARTED):
+                if s.belief.last_motion is not None and s.belief.last_motion.resumes_ns is not None:
+                    s.moves -= 1  # its summary comes again, under the same number
                 out.append(self._summary())
         else:
             for accepted in self._advance(s.head, step):
@@ -291,19 +293,17 @@ class Pipeline:
             end_expected=abs(p - end_m) < near_m,
             delay_s=self._delay_s,
             felt=_FELT[self._imu_on],
-            broken_off_ns=self._broken_off_ns(),
+            broken_off=self._broken_off(),
         )
 
-    def _broken_off_ns(self) -> tuple[int, int] | None:
-        """Direction and stop of the last move, if it ended far from its mechanical stop."""
+    def _broken_off(self) -> Motion | None:
+        """The last move, if it ended far from its mechanical stop."""
         s = self.state
-        motion = s.belief.last_motion
-        if motion is None or motion.stop_ns is None or s.head.phase is not Phase.REST:
+        motion = s.belief.last_settled_motion
+        if motion is None or motion.stop_ns is None:
             return None
         stop_m = self._support.stroke_mm / 1e3 if motion.direction > 0 else 0.0
-        if abs(s.head.filter.state.x[P] - stop_m) < 2.0 * FORBIDDEN_M:
-            return None
-        return motion.direction, motion.stop_ns
+        return motion if abs(s.head.filter.state.x[P] - stop_m) > 2.0 * FORBIDDEN_M else None
 
     def _believe(self, decision: Decision) -> None:
         """Bring the belief in line with what the recogniser decided."""
@@ -464,7 +464,7 @@ class Pipeline:
         return Move(
             number=s.moves,
             kind=MoveKind.PUSH if motion.direction > 0 else MoveKind.RETRACT,
-            onset_ns=motion.onset_ns,
+            onset_ns=motion.onset_ns if motion.resumes_ns is None else motion.resumes_ns,
             stop_ns=motion.stop_ns,
             start_m=ending.start_m,
             end_m=ending.end_m,

@@ -49,7 +49,7 @@ FIT_SLACK_S = 0.15  # a fit that lies farther from the kernel's answer has found
 STOP_NOT_BEFORE_S = 0.6  # after the onset: the burst rings until then
 STOP_NOT_BEFORE_SLOW_S = 1.3
 STOP_KERNEL_BIAS_S = 0.06  # its largest answer comes so much before the start of deceleration
-QUIET_AFTER_STOP_S = 0.6  # a stop rings too ...
+QUIET_AFTER_STOP_S = 0.75  # a stop rings too ...
 SLOW_QUIET_AFTER_STOP_S = 1.5  # ... and the wide kernels hear it longer
 CANDIDATES = 8
 SURE = 8.0  # nats: such a candidate is believed before the last stop is doubted
@@ -69,6 +69,7 @@ class Motion:
     cut_ns: int | None = None  # given up here: how it went on is not known
     start_burst: Burst | None = None
     stop_burst: Burst | None = None
+    resumes_ns: int | None = None  # onset of the last move, which this one turned out to continue
 
 
 class Decision(StrEnum):
@@ -94,7 +95,7 @@ class Context:
     end_expected: bool = False  # the stroke is predicted to end about now
     delay_s: float = 0.0  # of the inertial sensor's own filter
     felt: tuple[int, ...] = (1, -1)  # directions that the sensor can feel
-    broken_off_ns: tuple[int, int] | None = None  # direction and stop of a last move that ended in mid-stroke
+    broken_off: Motion | None = None  # the last move, if it ended in mid-stroke
 
     def speed(self, direction: int) -> float:
         """Usual speed of a direction."""
@@ -173,9 +174,11 @@ class SegmentRecogniser:
     def update(self, t_ns: int, steps: Steps, bank: StepBank, context: Context) -> Decision | None:
         """Judge one block; at most one decision a block."""
         motion = self.motion
-        if motion is None:
-            return self._propose_start(t_ns, steps, bank, context) or self._find_unstarted(steps, bank, context)
-        if not motion.confirmed:
+        if motion is None or not motion.confirmed:
+            if self._find_unstarted(steps, bank, context):
+                return Decision.STOP_UNSTARTED
+            if motion is None:
+                return self._propose_start(t_ns, steps, bank, context)
             return self._confirm_start(t_ns, motion, bank, context) if t_ns >= self.decide_ns else None
         if motion.stop_ns is None:
             return self._propose_stop(t_ns, motion, steps, bank, context)
@@ -225,18 +228,21 @@ class SegmentRecogniser:
     def _confirm_start(self, t_ns: int, motion: Motion, bank: StepBank, context: Context) -> Decision | None:
         after_s = 1.0 if motion.slow else SEARCH_S
         sharp = self._largest(bank, Kernel.START_WHOLE, motion.onset_ns, after_s)
-        if sharp is not None:
-            # The side lobes of a large step look like smaller ones of the other sign: the largest of all decides.
-            sustained = self._beside(bank, Kernel.START_SUSTAINED, sharp)
-            if self._accept(sharp, sustained, 0.55, CONFIRM_EVIDENCE, bank, context, slow=False):
+        # The side lobes of a large step look like smaller ones of the other sign: the largest of all is heard first.
+        for sign in (0, motion.direction):
+            step = self._largest(bank, Kernel.START_WHOLE, motion.onset_ns, after_s, sign) if sign else sharp
+            if step is None:
+                continue
+            sustained = self._beside(bank, Kernel.START_SUSTAINED, step)
+            if self._accept(step, sustained, 0.55, CONFIRM_EVIDENCE, bank, context, slow=False):
                 return Decision.START_CONFIRMED
         speed = context.speed(motion.direction)
         if sharp is None or abs(sharp.x) < 0.75 * speed:
             for kernel in SLOW_KERNELS[::-1]:
                 slow = self._largest(bank, kernel, motion.onset_ns, 1.0)
-                if slow is not None and self._accept(
-                    slow, None, 0.6, CONFIRM_SLOW_EVIDENCE, bank, context, slow=True
-                ):
+                if slow is None or slow.t_ns - self.last_event_ns < SLOW_QUIET_AFTER_STOP_S * 1e9:
+                    continue
+                if self._accept(slow, None, 0.6, CONFIRM_SLOW_EVIDENCE, bank, context, slow=True):
                     return Decision.START_CONFIRMED
             if t_ns < motion.onset_ns + round(2.6e9):
                 return None
@@ -327,7 +333,7 @@ class SegmentRecogniser:
         total += evidence(abs(step.x), (step.sigma**2 + (0.05 * speed) ** 2) ** 0.5, speed, 0.06)
         total -= evidence(abs(step.x), (step.sigma**2 + (0.05 * speed) ** 2) ** 0.5, 0.6 * speed, 0.3)
         total += sustained_evidence(-sustained.x * motion.direction, sustained.sigma, speed)
-        return total + _quiet_evidence(bank, motion, step)
+        return total + _quiet_evidence(bank, step)
 
     def _refined_stop(
         self, step: _Step, direction: int, speed: float, bank: StepBank, context: Context
@@ -338,47 +344,60 @@ class SegmentRecogniser:
             return stop_ns, None
         return burst.t_ns, burst
 
-    def _find_unstarted(self, steps: Steps, bank: StepBank, context: Context) -> Decision | None:
+    def _find_unstarted(self, steps: Steps, bank: StepBank, context: Context) -> bool:
         """A stop at rest: its move was missed, or ended too early in the belief."""
         x, sigma = steps.x[Kernel.STOP_LATE], steps.sigma[Kernel.STOP_LATE]
         t_ns = bank.event_time_ns(Kernel.STOP_LATE)
         direction = -1 if x > 0 else 1
         speed = context.speed(direction)
         if direction not in context.felt or t_ns - self.last_event_ns < UNSTARTED_AFTER_S * 1e9:
-            return None
+            return False
         if not 0.75 * speed < abs(x) < 1.3 * speed:
-            return None
+            return False
         as_start = evidence(abs(x), sigma, context.speed(-direction), 0.13) - context.penalty(-direction)
         strength = evidence(abs(x), sigma, speed, 0.10)
         if strength - max(as_start, 0.0) < UNSTARTED:
-            return None
+            return False
         largest = self._largest(bank, Kernel.STOP_LATE, t_ns, SEARCH_S, sign=-direction, judged_too=True)
         if largest is None or largest.index < 2:
-            return None  # still growing
+            return False  # still growing
         sustained = self._beside(bank, Kernel.STOP_SUSTAINED, largest)
         if sustained_evidence(-sustained.x * direction, sustained.sigma, speed) < SUSTAINED_EVIDENCE:
-            return None
+            return False
         stop_ns, burst = self._refined_stop(largest, direction, speed, bank, context)
-        onset_ns = self._missed_onset_ns(direction, context) or stop_ns
+        onset_ns, resumes_ns = self._missed_onset(direction, stop_ns, context)
         self.motion = Motion(
-            direction, onset_ns, confirmed=True, stop_ns=stop_ns, stop_confirmed=True, stop_burst=burst
+            direction,
+            onset_ns,
+            confirmed=True,
+            stop_ns=stop_ns,
+            stop_confirmed=True,
+            stop_burst=burst,
+            resumes_ns=resumes_ns,
         )
         self.last_event_ns = stop_ns
         self.ignore_before_ns = stop_ns + round(QUIET_AFTER_STOP_S * 1e9)
         self.candidates.clear()
-        return Decision.STOP_UNSTARTED
+        return True
 
-    def _missed_onset_ns(self, direction: int, context: Context) -> int | None:
-        """When the move began whose stop has been found: at the best candidate, or where the last one broke off."""
+    def _missed_onset(self, direction: int, stop_ns: int, context: Context) -> tuple[int, int | None]:
+        """When the move went on whose stop has been found, and when it began if the last stop was none.
+
+        At the best candidate, or where the last move broke off; else at the stop itself, which says: unknown.
+        """
         likely = [one for one in self.candidates if one.direction == direction]
-        broken_off = context.broken_off_ns
-        if broken_off is not None and broken_off[0] == direction and (not likely or likely[0].evidence < SURE):
-            return broken_off[1]
-        return likely[0].t_ns if likely else None
+        broken_off = context.broken_off
+        if broken_off is not None and broken_off.direction == direction and broken_off.stop_ns is not None:
+            if not likely or likely[0].evidence < SURE:
+                began_ns = broken_off.resumes_ns or broken_off.onset_ns
+                return broken_off.stop_ns, began_ns
+        return (likely[0].t_ns if likely else stop_ns), None
 
     # --- history ----------------------------------------------------------------------------------------------
 
-    def _largest(self, bank: StepBank, kernel: Kernel, t_ns: int, after_s: float, sign: int = 0, *, judged_too: bool = False) -> _Step | None:
+    def _largest(
+        self, bank: StepBank, kernel: Kernel, t_ns: int, after_s: float, sign: int = 0, *, judged_too: bool = False
+    ) -> _Step | None:
         """The largest step that one kernel has seen near a time: of one sign, or (0) of either."""
         times = np.fromiter(bank.times_ns, dtype=np.int64)
         post = bank.post_steps[kernel]
@@ -406,7 +425,7 @@ class SegmentRecogniser:
         return _Step(step.t_ns, float(rows[-1 - best, kernel]), float(bank.sigma.values[-1 - best, kernel]), best)
 
 
-def _quiet_evidence(bank: StepBank, motion: Motion, step: _Step) -> float:
+def _quiet_evidence(bank: StepBank, step: _Step) -> float:
     """Nats that the vibration gives for a stop: has it fallen towards what it was at rest, or gone on as in motion?
 
     Only as far as rest and motion differ at all, and never much: a machine nearby may start or stop.

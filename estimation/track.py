@@ -208,7 +208,8 @@ class Track:
     def _begin_move(self, motion: Motion, step: Step, settings: EstimatorSettings) -> None:
         self.started += 1
         self.direction = motion.direction
-        self.start_m = self.filter.state.x[P]
+        if motion.resumes_ns is None or self.ending is None:
+            self.start_m = self.filter.state.x[P]
         self.speed_checks = 0
         self.nis, self.readings_in_move, self.rejected_in_move = 1.0, 0, 0
         self.remembered = self.filter.state.block(LEARNED)
