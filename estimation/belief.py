@@ -21,6 +21,7 @@ class Phase(StrEnum):
     CRUISE = "cruise"
     STOP = "stop"
     FREE = "free"
+    UNFELT = "unfelt"
 
 
 SEGMENT_OF = {
@@ -29,15 +30,20 @@ SEGMENT_OF = {
     Phase.CRUISE: Segment.CVS,
     Phase.STOP: Segment.VVS,
     Phase.FREE: Segment.VVS,
+    Phase.UNFELT: Segment.VVS,
 }
 
 
 @dataclass(slots=True, frozen=True)
 class Free:
-    """A time in which no model is known to hold; without `until_ns` it still goes on."""
+    """A time in which no model is known to hold; without `until_ns` it still goes on.
+
+    `unfelt`: the inertial sensor does not take part in this move, the displacement sensor alone leads.
+    """
 
     from_ns: int
     until_ns: int | None = None
+    unfelt: bool = False
 
 
 @dataclass(slots=True)
@@ -55,11 +61,14 @@ class Belief:
     @property
     def last_settled_motion(self) -> Motion | None:
         """The last move that has ended, though a start be proposed already; None if other things came after it."""
-        items = self.items
-        if items and isinstance(items[-1], Motion) and not items[-1].confirmed:
-            items = items[:-1]
+        items = self._proven
         last = items[-1] if items else None
         return last if isinstance(last, Motion) and last.stop_confirmed else None
+
+    @property
+    def _proven(self) -> list[Motion | Free]:
+        last = self.items[-1] if self.items else None
+        return self.items[:-1] if isinstance(last, Motion) and not last.confirmed else self.items
 
     @property
     def open_free(self) -> Free | None:
@@ -72,7 +81,7 @@ class Belief:
         for item in reversed(self.items):
             if isinstance(item, Free):
                 if item.from_ns <= t_ns and (item.until_ns is None or t_ns < item.until_ns):
-                    return Phase.FREE, None
+                    return Phase.UNFELT if item.unfelt else Phase.FREE, None
                 continue
             phase = _phase_in(item, t_ns)
             if phase is not None:
@@ -96,7 +105,7 @@ class Belief:
         """Believe something else of the last move."""
         self.items[-1] = motion
 
-    def begin_free(self, from_ns: int) -> None:
+    def begin_free(self, from_ns: int, *, unfelt: bool = False) -> None:
         """From then on nothing is explained; a move that still went on is cut there, an unproven one forgotten."""
         motion = self.last_motion
         if motion is not None and not motion.stop_confirmed:
@@ -104,21 +113,22 @@ class Belief:
                 self.items[-1] = replace(motion, stop_ns=None, cut_ns=from_ns)
             else:
                 self.items.pop()
-        self.items.append(Free(from_ns))
+        self.items.append(Free(from_ns, unfelt=unfelt))
 
     def end_free(self, t_ns: int) -> None:
         """At rest again."""
         free = self.open_free
         assert free is not None
-        self.items[-1] = Free(free.from_ns, t_ns)
+        self.items[-1] = replace(free, until_ns=t_ns)
 
     def rests_since_ns(self) -> int | None:
-        """End of the last item; None if there is none or it goes on."""
-        return _end_ns(self.items[-1]) if self.items else None
+        """End of the last item but for a start that is only proposed; None if there is none or it goes on."""
+        items = self._proven
+        return _end_ns(items[-1]) if items else None
 
     def forget_before(self, t_ns: int) -> None:
-        """Drop what ended before the buffer begins, but for the last item."""
-        while len(self.items) > 1 and (end_ns := _end_ns(self.items[0])) is not None and end_ns < t_ns:
+        """Drop what ended before the buffer begins, but for the last two items: a stop may yet turn out to be none."""
+        while len(self.items) > 2 and (end_ns := _end_ns(self.items[0])) is not None and end_ns < t_ns:
             self.items.pop(0)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from math import exp, log, pi, sqrt
+from math import exp, log, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,7 +89,7 @@ class BurstView:
 def fit_burst(view: BurstView, prior: BurstPrior, guess_ns: int, *, stop: bool) -> Burst | None:
     """The burst near `guess_ns`; None if too little lies before or after it, or nothing fits."""
     dt_s = view.dt_s
-    age_s = (view.times_ns - guess_ns) * 1e-9  # block ends, relative to the guess
+    age_s = np.asarray((view.times_ns - guess_ns) * 1e-9, dtype=np.float64)  # block ends, relative to the guess
     post = int((age_s > -LEAD_S).sum())  # blocks that may hold some of it
     n = min(len(view.levelled_m_s2), len(age_s), post + round(PRE_S / dt_s))
     pre = n - post
@@ -175,15 +175,10 @@ def _shape(t_s: FloatArray, dt_s: float, at: FloatArray) -> FloatArray:
     return block_means(t_s - at[3], dt_s, exp(at[0]), min(exp(at[1]), 0.97), exp(at[2]))
 
 
-def lag_s(frequency_hz: float, damping: float, ramp_s: float) -> float:
-    """How late the speed of such a burst is, compared with a sudden step: the area between the two."""
-    return ramp_s / 2.0 + 2.0 * damping / (2.0 * pi * frequency_hz)
-
-
 @lru_cache(maxsize=9)
 def _templates(prior: BurstPrior, dt_s: float) -> FloatArray:
     """Block means (blocks, m) of all points of the grid, for a guess at the end of a block."""
-    t_s = dt_s * np.arange(-_TEMPLATE_LEAD, int(LONGEST_POST_S / dt_s))
+    t_s = dt_s * np.arange(-_TEMPLATE_LEAD, int(LONGEST_POST_S / dt_s), dtype=np.float64)
     return np.column_stack([_shape(t_s, dt_s, at) for at in prior.grid()])
 
 

@@ -10,8 +10,10 @@ from estimation.records import CanState, Displacement, ReadingFault
 GATE_SIGMAS = 4.5
 TRUST_SIGMAS = 2.5  # a biased sensor must agree this well to be trusted again
 STUCK_READINGS = 6  # identical in a row ...
+STUCK_S = 0.25
 STUCK_TRAVEL_M = 0.003  # ... while the piston must have moved this far
 BIASED_READINGS = 8  # outside the gate in a row, and inside it again to be trusted
+SHARPER_THAN_BIAS, WORSE_THAN_BIAS = 0.25, 1.5
 LATE_PERIODS, LATE_S = 3.0, 0.15
 LONGEST_PERIOD_S = 1.0  # a longer pause tells nothing of the source's rate
 MARGIN_M = 0.04  # beyond the stroke: scale and offset are not known yet
@@ -49,6 +51,7 @@ class DisplacementSensor:
     last_prediction_m: float = 0.0
     period_s: float = 0.1
     same_in_row: int = 0
+    row_began_ns: int = 0
     row_began_m: float = 0.0  # the prediction when the row of identical readings began
     was_known: bool = False  # whether the last prediction was worth comparing with
     near_in_row: int = 0  # readings since the prediction was last far from there
@@ -59,6 +62,7 @@ class DisplacementSensor:
     out_of_range: bool = False
     stuck: bool = False
     biased: bool = False
+    bias_m: float = 0.0  # how far off it was found
 
     def judge(self, reading: Displacement, predicted_m: float, *, known: bool = True) -> Reading:
         """Take one reading in, with what the estimator expects of it; says whether it may be used.
@@ -83,7 +87,7 @@ class DisplacementSensor:
         if not first and reading.value_m == self.last_value_m:
             # Not the first prediction of the row: that one may have known nothing of the value yet.
             if self.same_in_row == 0 or not (known and self.was_known):
-                self.row_began_m = predicted_m
+                self.row_began_m, self.row_began_ns = predicted_m, reading.t_ns
             self.same_in_row += 1
         else:
             if not first and not self.stuck:
@@ -100,18 +104,32 @@ class DisplacementSensor:
             variance_m2=self.noise_m2,
         )
 
-    def gated(self, accepted: bool) -> None:
-        """Hear from the filter whether the reading lay within its gate."""
+    def gated(self, accepted: bool, innovation_m: float, sigma_m: float) -> None:
+        """Hear from the filter whether the reading lay within its gate, how far off it was, how sure the filter is."""
+        if self.biased and not self._clears(innovation_m, sigma_m):
+            accepted = False
         self.accepted_in_row = self.accepted_in_row + 1 if accepted else 0
         self.rejected_in_row = 0 if accepted else self.rejected_in_row + 1
         if self.rejected_in_row >= BIASED_READINGS:
+            if self.rejected_in_row <= 2 * BIASED_READINGS:
+                self.bias_m = innovation_m if not self.biased else max(self.bias_m, innovation_m, key=abs)
             self.biased = True
         elif self.accepted_in_row >= BIASED_READINGS:
             self.biased = False
 
+    def _clears(self, innovation_m: float, sigma_m: float) -> bool:
+        """Whether a reading speaks for the sensor: a gate that has only grown wide over time is no reason to trust it.
+
+        Once the estimate is worse than the bias was, even a biased sensor is better than none.
+        """
+        bias_m = abs(self.bias_m)
+        return sigma_m > WORSE_THAN_BIAS * bias_m or (
+            abs(innovation_m) < 0.5 * bias_m and sigma_m < SHARPER_THAN_BIAS * bias_m
+        )
+
     def distrust(self) -> None:
         """It has been found to run away: trust it again only when it agrees."""
-        self.biased, self.accepted_in_row = True, 0
+        self.biased, self.accepted_in_row, self.rejected_in_row = True, 0, BIASED_READINGS
 
     def state(self, t_ns: int) -> CanState:
         """The sensor in one word, at time t."""
@@ -142,7 +160,9 @@ class DisplacementSensor:
         if self.stuck:
             self.stuck = same and self.near_in_row < STUCK_READINGS
         else:
-            self.stuck = travelled and self.same_in_row + 1 >= STUCK_READINGS
+            stood_s = (self.last_ns - self.row_began_ns) * 1e-9 if self.last_ns is not None else 0.0
+            # A ram that has just stopped is not recognised at once.
+            self.stuck = travelled and self.same_in_row + 1 >= STUCK_READINGS and stood_s > STUCK_S
 
     def _learn_noise(self, residual_m: float, last_residual_m: float) -> None:
         """Half the mean square of successive differences: blind to scale, offset and bow."""

@@ -105,7 +105,7 @@ def _velocity(t_s: FloatArray, frequency_hz: float, damping: float, ramp_s: floa
 
 @dataclass(frozen=True)
 class _Template:
-    """What one kernel looks for: mean shape (n,), and factors (n, r) of the covariance of what is like it but is none."""
+    """What one kernel looks for: mean shape (n,); factors (n, r) of the covariance of what is like it but is none."""
 
     s: FloatArray
     clutter: FloatArray

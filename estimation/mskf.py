@@ -103,7 +103,7 @@ class Filter:
         g = self.state
         if g.x[V] != 0.0 or g.p[V][V] != 0.0:
             g.reset(V, 0.0, 0.0)
-        if g.x[B] != 0.0:
+        if g.x[B] != 0.0 or g.p[B][P] != 0.0:
             g.reset(B, 0.0, level_variance)
         g.p[B][B] = level_variance
         g.diffuse(P, CREEP_M**2 * dt_s)

@@ -11,8 +11,8 @@ from math import acos, degrees, hypot, log, sqrt
 
 from estimation.belief import SEGMENT_OF, Phase
 from estimation.blocks import GAP_PERIODS, SAMPLES_PER_STEP, BlockCutter
-from estimation.displacement_sensor import STUCK_READINGS
 from estimation.burst import prepare as prepare_bursts
+from estimation.displacement_sensor import STUCK_READINGS
 from estimation.kernels import Kernel
 from estimation.mount import Mount
 from estimation.mskf import SPEED, P, V
@@ -35,7 +35,7 @@ from estimation.records import (
 from estimation.segments import Context, Decision, Motion
 from estimation.settings import EstimatorSettings, MountSettings, SupportSettings
 from estimation.steps import Block, StepBank
-from estimation.track import Step, Track
+from estimation.track import Ending, Step, Track
 
 __all__ = ["Pipeline", "Start"]
 
@@ -46,6 +46,10 @@ SILENT_IMU_S = 0.25
 FIRST_SAMPLE_S = 2.0  # a sensor that is being started is not silent yet
 SENSOR_CHANCE_S = 2.0
 UPSET_LOOK_BACK_S = 0.5  # an unexplained motion began before it was too large to explain
+FELT_WITHIN_S = 2.0
+SHOWN_SHARE = (0.4, 1.6)  # of the usual speed: more or less is no move of the ram
+UNEXPLAINED_READINGS = 3  # outside the gate in a row
+UNFELT_LOOK_BACK_S = 1.2
 KNOWN_SIGMA_M = 0.03  # a stroke known no better than this is a guess
 FORBIDDEN_M = 0.015  # from an end of the stroke
 STOP_UNNOTICED_S = 0.2
@@ -109,8 +113,12 @@ class Pipeline:
 
     def finish(self) -> list[Output]:
         """End of the data: settle what is still open, under the present belief."""
-        out: list[Output] = []
-        self._settle(out, until_ns=self.state.last_ns)
+        s, out = self.state, list[Output]()
+        if s.summary_due:
+            if s.head.judge_end_ns is not None:
+                s.head.judge_end(self._settings)
+            self._sum_up(out)
+        self._settle(out, until_ns=s.last_ns)
         return out
 
     def _feed_sample(self, sample: ImuSample, out: list[Output]) -> None:
@@ -208,14 +216,18 @@ class Pipeline:
             if decision in (Decision.STOP_CONFIRMED, Decision.STOP_UNSTARTED):
                 if s.belief.last_motion is not None and s.belief.last_motion.resumes_ns is not None:
                     s.moves -= 1  # its summary comes again, under the same number
-                out.append(self._summary())
+                s.summary_due = True
         else:
             for accepted in self._advance(s.head, step):
-                if accepted or self._imu_on == "both" or s.head.phase is not Phase.REST:
-                    s.sensor.gated(accepted)
-                # Else the ram may make a move that the sensor cannot feel: no reason to doubt the reading.
+                if self._imu_on == "both" or s.head.phase is not Phase.REST:
+                    s.sensor.gated(accepted, s.head.innovation_m, s.head.filter.state.sigma(P))
+                    continue
+                # The ram may make a move that the inertial sensor cannot feel: no reason to doubt the reading.
+                s.unexplained_in_row = 0 if accepted else s.unexplained_in_row + 1
             self._supervise(step, out)
         self._check_mount(step, out)
+        if s.summary_due and s.head.judge_end_ns is None and s.head.phase is Phase.REST:
+            self._sum_up(out)
         out.append(self._estimate(s.head, step, s.can_state, Tier.PROVISIONAL))
         self._settle(out, until_ns=step.t_ns - round(LAG_S * 1e9))
 
@@ -241,7 +253,7 @@ class Pipeline:
         steps = bank.add(
             block,
             s.head.gyro_bias[0],
-            since_event_s=s.recogniser.since_event_s(step.t_ns),
+            since_event_s=s.recogniser.since_event_s(step.t_ns) if s.belief.open_free is None else 0.0,
             resting=s.head.phase is Phase.REST,
         )
         step.vibration_m_s2 = bank.vibration_m_s2
@@ -294,7 +306,30 @@ class Pipeline:
             delay_s=self._delay_s,
             felt=_FELT[self._imu_on],
             broken_off=self._broken_off(),
+            shown=self._shown_move(),
         )
+
+    def _shown_move(self) -> Motion | None:
+        """The move that the displacement sensor shows while rest is believed, if it is one that can be felt."""
+        s = self.state
+        if s.recogniser.motion is not None and s.recogniser.motion.confirmed:
+            return None
+        speed = self._sensor_speed()
+        if speed is None or not s.slope.fresh(s.belief.rests_since_ns()):
+            return None
+        if not self._could_be_felt(speed):
+            return None
+        direction = 1 if speed > 0 else -1
+        resting_m = s.settled.filter.displacement_prediction(0.0)[0]
+        before_s = (s.slope.mean() - resting_m) / speed  # of the middle of the window
+        onset_ns = s.slope.middle_ns() - round((before_s + self._latency_s) * 1e9)
+        return Motion(direction, onset_ns, slow=True)
+
+    def _could_be_felt(self, speed_m_s: float) -> bool:
+        """Whether this is a speed of the ram, and a move in which the inertial sensor takes part."""
+        direction = 1 if speed_m_s > 0 else -1
+        share = abs(speed_m_s) / self.state.head.usual_speed(direction)
+        return direction in _FELT[self._imu_on] and SHOWN_SHARE[0] < share < SHOWN_SHARE[1]
 
     def _broken_off(self) -> Motion | None:
         """The last move, if it ended far from its mechanical stop."""
@@ -340,15 +375,29 @@ class Pipeline:
         s = self.state
         free = s.belief.open_free
         if free is not None:
-            if not step.blind and s.supervisor.calm(step.t_ns, free.from_ns, self._sensor_speed() is not None):
+            moves = self._sensor_speed() is not None or (free.unfelt and not self._sensor_stands(free.from_ns))
+            if not step.blind and s.supervisor.calm(step.t_ns, free.from_ns, moves):
                 s.belief.end_free(step.t_ns)
                 s.recogniser.rest(step.t_ns)
                 out.append(Event(step.t_ns, "at rest again after an unexplained motion"))
         elif not step.blind and s.supervisor.upset(step, s.head):
             self._go_free(step.t_ns - round(UPSET_LOOK_BACK_S * 1e9))
             out.append(Event(step.t_ns, "motion that is neither a push nor a retract"))
+        elif s.unexplained_in_row >= UNEXPLAINED_READINGS and s.head.phase is Phase.REST:
+            s.unexplained_in_row = 0
+            self._go_free(step.t_ns - round(UNFELT_LOOK_BACK_S * 1e9), unfelt=True)
+            out.append(Event(step.t_ns, "a move that cannot be felt: following the displacement sensor"))
         elif step.readings and s.can_state in (CanState.OK, CanState.BIASED):
             self._hear_second_opinion(step, out)
+
+    def _sensor_stands(self, since_ns: int) -> bool:
+        """Whether the displacement sensor has stood for a while within a time that began at `since_ns`; or is mute."""
+        s = self.state
+        if s.can_state in (CanState.SILENT, CanState.ABSENT):
+            return True
+        if s.slope.since_ns < since_ns:
+            return False
+        return s.slope.stands(sqrt(s.sensor.noise_m2), s.head.usual_speed(1))
 
     def _sensor_speed(self) -> float | None:
         """Speed that the displacement sensor reports, if it is a moving ram's."""
@@ -366,8 +415,12 @@ class Pipeline:
             ended_ns = s.belief.rests_since_ns()
             # The window must not still hold the move that has just ended.
             fresh = ended_ns is None or step.t_ns - ended_ns > (1.2e9 if s.belief.last_motion else 2e9)
-            if speed is not None and fresh:
-                self._reopen_or_follow(step, speed, out)
+            if speed is None or not fresh:
+                s.shown_since_ns = None
+                return
+            if s.shown_since_ns is None:
+                s.shown_since_ns = step.t_ns
+            self._reopen_or_follow(step, speed, out)
         elif s.head.phase is Phase.CRUISE and motion is not None:
             expected = s.head.filter.state.x[SPEED]
             cruised_s = (s.slope.since_ns - motion.onset_ns) * 1e-9
@@ -388,11 +441,16 @@ class Pipeline:
             going_on = Motion(motion.direction, motion.onset_ns, motion.slow, confirmed=True)
             s.belief.replace_last(going_on)
             s.recogniser.reopen(going_on, step.t_ns)
-            s.moves -= 1  # its summary will come again, under the same number
+            s.moves -= not s.summary_due  # its summary will come again, under the same number
+            s.summary_due = False
             self._run_head_again()
             out.append(Event(step.t_ns, "the displacement sensor still moves: the stop was none, move re-opened"))
             return
-        self._go_free(step.t_ns - round(2e9))
+        assert s.shown_since_ns is not None
+        felt = (1 if speed > 0 else -1) in _FELT[self._imu_on]
+        if felt and step.t_ns - s.shown_since_ns < FELT_WITHIN_S * 1e9:
+            return  # the recogniser may take it up yet: a soft start needs its time
+        self._go_free(step.t_ns - round(2e9), unfelt=self._imu_on != "both")
         out.append(Event(step.t_ns, "the displacement sensor moves although no start was felt: following it"))
 
     def _stop_where_sensor_stands(self, step: Step, motion: Motion, expected_m_s: float, out: list[Output]) -> None:
@@ -405,8 +463,7 @@ class Pipeline:
         s.recogniser.rest(step.t_ns)
         self._run_head_again()
         out.append(Event(step.t_ns, "no stop was felt, but the displacement sensor stands: move ended"))
-        if s.head.ending is not None:
-            out.append(self._summary())
+        s.summary_due = True
 
     def _distrust_sensor(self, step: Step, out: list[Output]) -> None:
         """The ram can change its speed only with a burst, and none was felt: the sensor runs away."""
@@ -420,9 +477,9 @@ class Pipeline:
         self._run_head_again()
         out.append(Event(step.t_ns, "the displacement sensor changed its speed and the ram did not: not believed"))
 
-    def _go_free(self, from_ns: int) -> None:
+    def _go_free(self, from_ns: int, *, unfelt: bool = False) -> None:
         s = self.state
-        s.belief.begin_free(from_ns)
+        s.belief.begin_free(from_ns, unfelt=unfelt)
         s.recogniser.motion = None
         self._run_head_again()
 
@@ -454,13 +511,18 @@ class Pipeline:
             gate_m=track.gate_m if fresh else float("nan"),
         )
 
-    def _summary(self) -> Move:
+    def _sum_up(self, out: list[Output]) -> None:
+        """Give the move whose stop is certain and whose end has been judged."""
         s = self.state
-        motion, ending = s.belief.last_motion, s.head.ending
-        assert motion is not None
+        s.summary_due = False
+        motion, ending = s.belief.last_settled_motion, s.head.ending
+        if motion is not None and ending is not None:
+            s.moves += 1
+            out.append(self._summary(motion, ending))
+
+    def _summary(self, motion: Motion, ending: Ending) -> Move:
+        s = self.state
         assert motion.stop_ns is not None
-        assert ending is not None
-        s.moves += 1
         return Move(
             number=s.moves,
             kind=MoveKind.PUSH if motion.direction > 0 else MoveKind.RETRACT,

@@ -62,6 +62,9 @@ class PipelineState:
     new_sensor: bool = False  # not heard yet
     last_ns: int = 0  # end of the last step
     moves: int = 0
+    unexplained_in_row: int = 0  # readings at rest that a move out of the inertial sensor's reach would explain
+    shown_since_ns: int | None = None  # since when the displacement sensor moves while rest is believed
+    summary_due: bool = False  # a stop is certain, its move not summed up yet
     mount_checked: bool = False
     can_state: CanState = CanState.ABSENT
     can_states: deque[CanState] = field(default_factory=deque)  # beside `buffer`

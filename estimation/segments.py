@@ -52,6 +52,7 @@ STOP_KERNEL_BIAS_S = 0.06  # its largest answer comes so much before the start o
 QUIET_AFTER_STOP_S = 0.75  # a stop rings too ...
 SLOW_QUIET_AFTER_STOP_S = 1.5  # ... and the wide kernels hear it longer
 CANDIDATES = 8
+LEAST_MOVE_S = 2.0  # nearer to the stop its own side lobes look like starts
 SURE = 8.0  # nats: such a candidate is believed before the last stop is doubted
 QUIETEST_M_S2 = 0.01  # a vibration below this is none
 
@@ -96,6 +97,7 @@ class Context:
     delay_s: float = 0.0  # of the inertial sensor's own filter
     felt: tuple[int, ...] = (1, -1)  # directions that the sensor can feel
     broken_off: Motion | None = None  # the last move, if it ended in mid-stroke
+    shown: Motion | None = None  # a move that the displacement sensor shows while rest is believed
 
     def speed(self, direction: int) -> float:
         """Usual speed of a direction."""
@@ -178,7 +180,7 @@ class SegmentRecogniser:
             if self._find_unstarted(steps, bank, context):
                 return Decision.STOP_UNSTARTED
             if motion is None:
-                return self._propose_start(t_ns, steps, bank, context)
+                return self._propose_start(t_ns, steps, bank, context) or self._propose_shown(t_ns, context)
             return self._confirm_start(t_ns, motion, bank, context) if t_ns >= self.decide_ns else None
         if motion.stop_ns is None:
             return self._propose_stop(t_ns, motion, steps, bank, context)
@@ -214,6 +216,14 @@ class SegmentRecogniser:
         self.decide_ns = t_ns + round(after_s * 1e9)
         return Decision.START_PROPOSED
 
+    def _propose_shown(self, t_ns: int, context: Context) -> Decision | None:
+        """A start too soft to be felt so far, but seen."""
+        if context.shown is None or context.shown.onset_ns < self.last_event_ns:
+            return None
+        self.motion = context.shown
+        self.decide_ns = t_ns + round(CONFIRM_SLOW_AFTER_S * 1e9)
+        return Decision.START_PROPOSED
+
     def _remember(self, candidate: Candidate) -> None:
         """Keep the strongest, one for each burst."""
         for i, known in enumerate(self.candidates):
@@ -234,6 +244,11 @@ class SegmentRecogniser:
             if step is None:
                 continue
             sustained = self._beside(bank, Kernel.START_SUSTAINED, step)
+            surely = sustained_evidence(
+                sustained.x * motion.direction, sustained.sigma, context.speed(motion.direction)
+            )
+            if sign and surely < SUSTAINED_EVIDENCE:
+                continue  # smaller than a step of the other sign: two sides of a blow
             if self._accept(step, sustained, 0.55, CONFIRM_EVIDENCE, bank, context, slow=False):
                 return Decision.START_CONFIRMED
         speed = context.speed(motion.direction)
@@ -244,8 +259,11 @@ class SegmentRecogniser:
                     continue
                 if self._accept(slow, None, 0.6, CONFIRM_SLOW_EVIDENCE, bank, context, slow=True):
                     return Decision.START_CONFIRMED
-            if t_ns < motion.onset_ns + round(2.6e9):
+            if t_ns < motion.onset_ns + round(2.6e9) and context.shown is None:
                 return None
+        if context.shown is not None:
+            self._begin(replace(context.shown, confirmed=True))
+            return Decision.START_CONFIRMED
         self.motion = None
         self.ignore_before_ns = motion.onset_ns + round(SEARCH_S * 1e9)
         return Decision.START_DISCARDED
@@ -282,12 +300,15 @@ class SegmentRecogniser:
             burst = None
         if burst is not None:
             onset_ns = burst.t_ns
-        self.motion = Motion(direction, onset_ns, slow=slow, confirmed=True, start_burst=burst)
-        self.last_event_ns = onset_ns
-        after_s = STOP_NOT_BEFORE_SLOW_S if slow else STOP_NOT_BEFORE_S
-        self.ignore_before_ns = onset_ns + round(after_s * 1e9)
-        self.candidates.clear()
+        self._begin(Motion(direction, onset_ns, slow=slow, confirmed=True, start_burst=burst))
         return True
+
+    def _begin(self, motion: Motion) -> None:
+        self.motion = motion
+        self.last_event_ns = motion.onset_ns
+        after_s = STOP_NOT_BEFORE_SLOW_S if motion.slow else STOP_NOT_BEFORE_S
+        self.ignore_before_ns = motion.onset_ns + round(after_s * 1e9)
+        self.candidates.clear()
 
     # --- stops ------------------------------------------------------------------------------------------------
 
@@ -361,6 +382,12 @@ class SegmentRecogniser:
         largest = self._largest(bank, Kernel.STOP_LATE, t_ns, SEARCH_S, sign=-direction, judged_too=True)
         if largest is None or largest.index < 2:
             return False  # still growing
+        beside = self._largest(bank, Kernel.START_WHOLE, t_ns, 0.5, judged_too=True)
+        if beside is not None and abs(beside.x) > 1.4 * speed:
+            return False  # the side lobe of a larger step
+        opposite = self._largest(bank, Kernel.START_WHOLE, t_ns, 0.5, sign=direction, judged_too=True)
+        if opposite is not None and opposite.x * direction > 0.7 * abs(x):
+            return False  # one side of a blow
         sustained = self._beside(bank, Kernel.STOP_SUSTAINED, largest)
         if sustained_evidence(-sustained.x * direction, sustained.sigma, speed) < SUSTAINED_EVIDENCE:
             return False
@@ -385,12 +412,13 @@ class SegmentRecogniser:
 
         At the best candidate, or where the last move broke off; else at the stop itself, which says: unknown.
         """
-        likely = [one for one in self.candidates if one.direction == direction]
+        likely = [
+            one for one in self.candidates if one.direction == direction and stop_ns - one.t_ns > LEAST_MOVE_S * 1e9
+        ]
         broken_off = context.broken_off
-        if broken_off is not None and broken_off.direction == direction and broken_off.stop_ns is not None:
-            if not likely or likely[0].evidence < SURE:
-                began_ns = broken_off.resumes_ns or broken_off.onset_ns
-                return broken_off.stop_ns, began_ns
+        sure = bool(likely) and likely[0].evidence >= SURE
+        if not sure and broken_off is not None and broken_off.direction == direction and broken_off.stop_ns is not None:
+            return broken_off.stop_ns, broken_off.resumes_ns or broken_off.onset_ns
         return (likely[0].t_ns if likely else stop_ns), None
 
     # --- history ----------------------------------------------------------------------------------------------

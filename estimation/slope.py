@@ -59,12 +59,21 @@ class Slope:
         return abs(fit[0]) < STANDING_SHARE * abs(expected_m_s) and abs(fit[0] - expected_m_s) > 5.0 * fit[1]
 
     def disagrees(self, noise_m: float, expected_m_s: float) -> bool:
-        """Whether the source moves at quite another speed than is believed."""
+        """Whether the source is much faster than is believed, or goes the other way; a slower one may come to rest."""
         fit = self.fit(noise_m)
         if fit is None:
             return False
+        share = fit[0] / expected_m_s
         off = abs(fit[0] - expected_m_s)
-        return off > OTHER_SPEED_SHARE * abs(expected_m_s) and off > OTHER_SPEED_SIGMAS * fit[1]
+        return not -OTHER_SPEED_SHARE < share < 1.0 + OTHER_SPEED_SHARE and off > OTHER_SPEED_SIGMAS * fit[1]
+
+    def middle_ns(self) -> int:
+        """Mean time of the readings in the window."""
+        return sum(t_ns for t_ns, _ in self.readings) // len(self.readings)
+
+    def fresh(self, since_ns: int | None) -> bool:
+        """Whether the window holds nothing of what ended at `since_ns`."""
+        return since_ns is None or self.since_ns > since_ns
 
     @property
     def since_ns(self) -> int:

@@ -56,7 +56,10 @@ class VibrationSpectrum:
         return np.asarray(share * vibration / total + (1.0 - share) * design)
 
     def lags(self, n: int) -> FloatArray:
-        """Autocovariance (n,) of vibration of unit variance at lags of 0 to n - 1 blocks."""
+        """Autocovariance (n,) of the block means of unit vibration, at lags of 0 to n - 1 blocks.
+
+        Of the part that blocks do not average out, that is: like that of the assumed band, whatever the band.
+        """
         shape = self.shape()
         if shape is _design_shape(self.dt_s):
             return design_lags(self.dt_s, n)
@@ -64,12 +67,13 @@ class VibrationSpectrum:
         fine = np.interp(np.linspace(0.0, 1.0, 4 * (len(shape) - 1) + 1), np.linspace(0.0, 1.0, len(shape)), shape)
         fine[1:-1] *= 0.5
         lags = np.fft.irfft(fine)[:n]
-        return np.asarray(lags / lags[0])
+        return np.asarray(lags / lags[0] * design_lags(self.dt_s, 1)[0])
 
     def second_difference_gain(self) -> float:
         """Mean square of the second difference of such vibration, per mean square of it."""
         angle = np.linspace(0.0, np.pi, WINDOW // 2 + 1)
-        return float(self.shape() @ (2.0 - 2.0 * np.cos(angle)) ** 2)
+        gain = float(self.shape() @ (2.0 - 2.0 * np.cos(angle)) ** 2 * design_lags(self.dt_s, 1)[0])
+        return max(gain, 1.0)  # long blocks average the vibration out: what is left tells little of it
 
 
 @lru_cache(maxsize=1)
@@ -113,4 +117,4 @@ def _design_shape(dt_s: float) -> FloatArray:
     for f in np.linspace(*DESIGN_BAND_HZ, 2000):
         folded = abs(f * dt_s - round(f * dt_s))
         shape[round(folded * WINDOW)] += np.sinc(f * dt_s) ** 2
-    return shape / shape.sum()
+    return np.asarray(shape / shape.sum())

@@ -88,8 +88,8 @@ class VibrationNoise:
     def follow(self, window: FloatArray) -> None:
         """One more undisturbed block, the last of `window` (256,)."""
         self.undisturbed += 1
-        if self.undisturbed < WINDOW:
-            return
+        if self.undisturbed < WINDOW or len(window) < WINDOW:
+            return  # a slow source shows too little of a vibration to learn from
         self.undisturbed = WINDOW // 2  # windows overlap by half
         self.spectrum.learn(window)
         if self.spectrum.windows < self.look_at:

@@ -10,7 +10,7 @@ from estimation.track import Step, Track
 UPSET_STEP = 2.5  # times the fastest usual speed
 UPSET_ACCELERATION_M_S2 = 5.0  # filtered; a ram's burst stays below
 UPSET_RATE_RAD_S = 0.35
-UPSET_VIBRATION_M_S2 = 1.0  # rms; no step can be told from so much
+UPSET_VIBRATION_M_S2 = 1.2  # rms; no step can be told from so much
 CALM_S = 0.7
 CALM_SIGMAS = 6.0  # of the chart's rest baseline
 CALM_ACCELERATION_M_S2 = 0.08

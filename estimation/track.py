@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from math import sqrt
 
-from estimation.belief import Belief, Phase
+from estimation.belief import STOP_BURST_S, Belief, Phase
 from estimation.chart import ControlChart
 from estimation.displacement_sensor import GATE_SIGMAS, TRUST_SIGMAS, Reading
 from estimation.gaussian import Gaussian
@@ -28,6 +28,7 @@ HEALTHY_NIS = 3.0
 READINGS_FOR_EVIDENCE = 10
 STOP_NEAR_SIGMAS, STOP_NEAR_M = 3.0, 0.004
 BEYOND_SIGMAS, BEYOND_M = 4.0, 0.01  # behind a mechanical stop
+END_JUDGED_S = 1.2  # after the stop
 LATE_START_S = 0.3  # a move entered later than this had been missed
 DOUBTFUL_READINGS = 8  # outside the gate: from such a move nothing is learned
 STRAY_GAIN, STRAY_SIGMAS = 0.03, 5.0
@@ -87,6 +88,7 @@ class Track:
     lost_in_move: bool = False  # the unexplained began while the ram moved
     ending: Ending | None = None
     last_motion: Motion | None = None
+    judge_end_ns: int | None = None  # when the end of the last move is due to be judged
     acceleration_m_s2: float = 0.0
     innovation_m: float = float("nan")
     gate_m: float = float("nan")
@@ -118,6 +120,8 @@ class Track:
         if step.new_sensor:
             self._forget_sensor()
         phase, motion = belief.phase_at(step.t_ns)
+        if self.judge_end_ns is not None and (phase is not Phase.REST or step.t_ns >= self.judge_end_ns):
+            self.judge_end(settings)
         if phase is not self.phase:
             self._change(phase, motion, step, settings)
         if step.blind:
@@ -144,7 +148,7 @@ class Track:
     def _feel(self, step: Step, motion: Motion | None) -> None:
         """Orientation, levelled acceleration and the model of the phase."""
         resting = self.phase is Phase.REST
-        self._orient(step, resting)
+        self._orient(step, resting or self.phase is Phase.UNFELT)
         # Gravity's part of the push axis, taken out in sensor axes: paper C, eq. (10), along the push itself.
         gravity_part = self.gravity_m_s2 * matrix(self.orientation)[2][1]
         acceleration = step.accel[1] - gravity_part
@@ -156,6 +160,8 @@ class Track:
             self.filter.rest(step.dt_s, ACCEL_NOISE**2 / averaged_s + LEVEL_DRIFT_M_S2**2)
         elif self.phase is Phase.CRUISE:
             self.filter.cruise(step.dt_s, acceleration, step.vibration_m_s2)
+        elif self.phase is Phase.UNFELT:
+            self.filter.blind(step.dt_s)
         elif self.phase is Phase.FREE:
             self.filter.free(step.dt_s, acceleration, step.vibration_m_s2)
         else:
@@ -192,16 +198,16 @@ class Track:
             if motion is not None and motion.start_burst is not None:
                 self.filter.hear_burst(motion.start_burst.step_m_s, motion.start_burst.sigma_m_s)
             self.filter.enter_cruise()
-        elif phase is Phase.FREE:
+        elif phase in (Phase.FREE, Phase.UNFELT):
             self.lost_in_move = self.phase in moving
             self.readings_in_move = 0
             self.filter.begin_free()
-        elif phase is Phase.REST and self.phase is Phase.FREE:
+        elif phase is Phase.REST and self.phase in (Phase.FREE, Phase.UNFELT):
             # Constant speed feels like rest: the ram may have gone on unnoticed, and may do so still.
             if self.lost_in_move and self.readings_in_move < READINGS_FOR_EVIDENCE:
                 self.filter.lose_place()
         elif phase is Phase.REST and self.phase is Phase.STOP:
-            self._end_move(self.last_motion, step, settings)
+            self._come_to_rest(self.last_motion, step)
         self.phase = phase
         self.last_motion = motion
 
@@ -226,10 +232,15 @@ class Track:
             self.speed_checks += 1
             self.filter.speed_reached(step.vibration_m_s2)
 
-    def _end_move(self, motion: Motion | None, step: Step, settings: EstimatorSettings) -> None:
+    def _come_to_rest(self, motion: Motion | None, step: Step) -> None:
         if motion is not None and motion.stop_burst is not None:
             self.filter.hear_burst(-motion.stop_burst.step_m_s, motion.stop_burst.sigma_m_s)
         self.filter.stopped(step.vibration_m_s2)
+        self.judge_end_ns = step.t_ns + round((END_JUDGED_S - STOP_BURST_S) * 1e9)
+
+    def judge_end(self, settings: EstimatorSettings) -> None:
+        """Sum the last move up, and use its mechanical stop if it reached one: a second of readings at rest helps."""
+        self.judge_end_ns = None
         state = self.filter.state
         before_m, sigma_before_m = state.x[P], state.sigma(P)
         if max(-before_m, before_m - self.filter.stroke_m) > BEYOND_M + BEYOND_SIGMAS * sigma_before_m:

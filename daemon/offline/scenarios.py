@@ -7,11 +7,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from drivers.virtual.motion import BurstSpread, PlannedMove, Scenario, Script, full_cycle
+from drivers.virtual.motion import Scenario, Script, full_cycle
 from drivers.virtual.scenarios import (
     FOREIGN,
-    PUSH_M_S,
-    RETRACT_M_S,
     SCENARIOS,
     WEAK_START,
     World,
@@ -32,7 +30,7 @@ class EvaluationScenario:
     """One row of an evaluation."""
 
     about: str
-    world: World = World()
+    world: World = field(default_factory=World)
     script: Script = field(default_factory=full_cycle)
     tampering: Tampering | None = None
     imu_on: Literal["both", "link", "base"] = "both"

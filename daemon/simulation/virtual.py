@@ -23,8 +23,8 @@ from drivers.virtual.faulty_controller import FaultyController, FrameSource
 from drivers.virtual.faulty_line import FaultyEdges, FaultyWires
 from drivers.virtual.faulty_part import PartSchedule
 from drivers.virtual.faulty_values import faulty_observations
-from drivers.virtual.scenarios import SCENARIOS
 from drivers.virtual.part import VirtualPart
+from drivers.virtual.scenarios import SCENARIOS
 from drivers.virtual.support import VirtualSupport
 from estimation.mount import Mount
 from estimation.settings import MountSettings

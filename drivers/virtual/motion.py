@@ -119,7 +119,7 @@ class _Burst:
 
     def scattered(self, rng: np.random.Generator) -> _Burst:
         f, z, r = np.exp(rng.normal(0.0, 0.05, 3))
-        return _Burst(self.frequency_hz * f, self.damping * z, self.ramp_s * r)
+        return _Burst(self.frequency_hz * f, min(self.damping * z, 0.97), self.ramp_s * r)
 
     @property
     def lag_s(self) -> float:

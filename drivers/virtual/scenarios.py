@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from drivers.virtual.controller import SensorSpread
 from drivers.virtual.motion import BurstSpread, PlannedMove, Scenario, Script, full_cycle
@@ -21,8 +21,8 @@ WEAK_START = BurstSpread((1.5, 3.0), (0.5, 0.95), (0.3, 0.75))
 class World:
     """A kind of support together with its displacement sensor."""
 
-    support: Scenario = Scenario()
-    sensor: SensorSpread = SensorSpread()
+    support: Scenario = field(default_factory=Scenario)
+    sensor: SensorSpread = field(default_factory=SensorSpread)
 
 
 # Another maker's supports: nothing that the estimator assumes was taken from these.

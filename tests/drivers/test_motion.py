@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
-from itertools import pairwise
+from itertools import pairwise, repeat
 
 import numpy as np
 import pytest
@@ -133,7 +133,7 @@ def test_vibration_has_its_level_in_motion_and_an_eighth_of_it_at_rest(seed: int
 
 @pytest.mark.parametrize("band", [(5.0, 60.0), (2.0, 30.0)])
 def test_vibration_lies_in_its_band(band: tuple[float, float]) -> None:
-    scenario = Scenario((0.2, 0.2), vibration_band_hz=band, tilt_deg=(0.0, 0.0), tilt_step_deg=0.0)
+    scenario = Scenario(vibration_m_s2=(0.2, 0.2), vibration_band_hz=band, tilt_deg=(0.0, 0.0), tilt_step_deg=0.0)
     run = cycle(1, scenario)
     f, power = signal.welch(run.accel_m_s2[:, 0], RATE_HZ, nperseg=4096)
     inside = (f >= band[0] - 0.5) & (f <= band[1] + 0.5)
@@ -227,7 +227,8 @@ def test_a_machine_goes_on_where_its_last_script_ended() -> None:
 
 
 def test_endless_cycles_repeat_the_script_with_new_scatter() -> None:
-    cycles = machine(7).cycles((PlannedMove(1.0, 0.05, 0.01453), PlannedMove(1.0, 0.0, 0.03519)), 1.0)
+    script = (PlannedMove(1.0, 0.05, 0.01453), PlannedMove(1.0, 0.0, 0.03519))
+    cycles = machine(7).play(repeat(script), 1.0)
     runs = [next(cycles) for _ in range(3)]
     assert len({run.moves for run in runs}) == 3
     for run, following in pairwise(runs):

@@ -98,11 +98,12 @@ def test_a_cut_move_lasts_to_the_unexplained_time_and_not_beyond() -> None:
     phases = [belief.phase_at(t)[0] for t in (9 * S, 10 * S, 11 * S, 12 * S, 14 * S, 15 * S, 90 * S)]
     expected = [Phase.REST, Phase.START, Phase.CRUISE, Phase.FREE, Phase.FREE, Phase.REST, Phase.REST]
     assert phases == expected
-    belief.forget_before(20 * S)
-    assert belief.items == [Free(12 * S, 15 * S)]
+    assert isinstance(belief.items[0], Motion)
+    assert belief.items[0].cut_ns == 12 * S
+    assert belief.items[1] == Free(12 * S, 15 * S)
 
 
-def test_the_past_is_forgotten_but_for_the_last_item() -> None:
+def test_the_past_is_forgotten_but_for_the_last_two_items() -> None:
     late = Motion(-1, 40 * S, stop_ns=50 * S)
     belief = Belief([ENDED, Free(30 * S, 32 * S), late])
     belief.forget_before(20 * S)
@@ -110,5 +111,5 @@ def test_the_past_is_forgotten_but_for_the_last_item() -> None:
     belief.forget_before(31 * S)
     assert belief.items == [Free(30 * S, 32 * S), late]
     belief.forget_before(100 * S)
-    assert belief.items == [late]
+    assert belief.items == [Free(30 * S, 32 * S), late]  # a start may be proposed yet, and the stop before it be none
     assert Belief().rests_since_ns() is None

@@ -34,7 +34,7 @@ class Feed:
         self.t_s += PERIOD_S
         reading = self.sensor.judge(Displacement(self.t_ns, value_m, fault), self.p_m)
         if reading.usable:
-            self.sensor.gated(accepted)
+            self.sensor.gated(accepted, value_m - self.p_m, 0.001)
         return reading
 
     def run(self, n: int, *, speed_m_s: float = 0.0, error_m: float = 0.0, accepted: bool = True) -> None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 
 from drivers.virtual.motion import Machine, PlannedMove, Scenario, TrueMove
-from estimation.kernels import SPECS
+from estimation.kernels import SPECS, Kernel
 from estimation.segments import Context, Decision, Motion, SegmentRecogniser, evidence
 from estimation.steps import Block, StepBank, Steps
 from tests.estimation.support import ramp_response
@@ -55,7 +55,7 @@ def recognised(blocks: Sequence[Block], context: Context = CONTEXT) -> tuple[lis
         steps = bank.add(
             block,
             0.0,
-            recent_event=recogniser.recent_event(block.t_ns),
+            since_event_s=recogniser.since_event_s(block.t_ns),
             resting=recogniser.resting,
         )
         statistics.append(steps)
@@ -64,7 +64,7 @@ def recognised(blocks: Sequence[Block], context: Context = CONTEXT) -> tuple[lis
         decision = recogniser.update(block.t_ns, steps, bank, context)
         if decision is not None:
             noticed.append(Noticed(block.t_ns * 1e-9, decision, recogniser.motion))
-        if decision is Decision.STOP_CONFIRMED:
+        if decision in (Decision.STOP_CONFIRMED, Decision.STOP_UNSTARTED):
             recogniser.motion = None
     return noticed, statistics
 
@@ -276,7 +276,7 @@ def test_vibration_level_is_that_of_the_band_noise() -> None:
     bank = StepBank(DT_S)
     levels = []
     for block in blocks_of(noise.reshape(n, fine).mean(axis=1), np.zeros(n), 12):
-        bank.add(block, 0.0, recent_event=False, resting=True)
+        bank.add(block, 0.0, since_event_s=10.0, resting=True)
         levels.append(bank.vibration_m_s2)
     assert np.sqrt(np.mean(np.square(levels[500:]))) == pytest.approx(0.2, rel=0.1)
 
@@ -286,7 +286,7 @@ def test_white_noise_alone_is_hardly_any_vibration() -> None:
     n = 3000
     levels = []
     for block in blocks_of(np.zeros(n), np.zeros(n), 13):
-        bank.add(block, 0.0, recent_event=False, resting=True)
+        bank.add(block, 0.0, since_event_s=10.0, resting=True)
         levels.append(bank.vibration_m_s2)
     assert np.mean(levels) < 0.012
 
@@ -297,7 +297,7 @@ def test_statistics_of_a_slow_source_stay_finite(dt_s: float) -> None:
     bank = StepBank(dt_s)
     for i, a in enumerate(rng.normal(0.0, 0.1, 600).tolist()):
         block = Block(round(i * dt_s * 1e9), a, 0.0, 9.8)
-        steps = bank.add(block, 0.0, recent_event=False, resting=True)
+        steps = bank.add(block, 0.0, since_event_s=10.0, resting=True)
     assert np.isfinite([*steps.x, *steps.sigma, bank.vibration_m_s2]).all()
     assert bank.vibration_m_s2 < 0.5
 
@@ -307,7 +307,7 @@ def test_bank_says_nothing_before_its_kernels_are_full() -> None:
     push = np.zeros(120)
     push[30:] = 1.0
     for block in blocks_of(push, np.zeros(120), 15):
-        steps = bank.add(block, 0.0, recent_event=False, resting=True)
+        steps = bank.add(block, 0.0, since_event_s=10.0, resting=True)
     assert steps == Steps((0.0,) * len(SPECS), (1.0,) * len(SPECS))
 
 
@@ -315,10 +315,10 @@ def test_event_time_lies_as_far_back_as_the_kernel_looks() -> None:
     bank = StepBank(DT_S)
     times = []
     for block in blocks_of(np.zeros(400), np.zeros(400), 16):
-        bank.add(block, 0.0, recent_event=False, resting=True)
+        bank.add(block, 0.0, since_event_s=10.0, resting=True)
         times.append(block.t_ns)
     for k, post in enumerate(bank.post_steps):
-        assert post == round(SPECS[k].post_s / DT_S)
+        assert post == round(SPECS[Kernel(k)].post_s / DT_S)
         assert bank.event_time_ns(k) == times[-1 - post]
         assert bank.event_time_ns(k, ago=3) == times[-4 - post]
     assert bank.event_time_ns(0, ago=10**6) == times[-bank.depth]
@@ -330,9 +330,9 @@ def test_scattered_losses_are_filled_once_they_add_up_to_a_block() -> None:
     times = [round(i * 1.12 * DT_S * 1e9) for i in range(n)]  # every block 12 % too long
     for t_ns, block in zip(times, blocks_of(np.zeros(n), np.zeros(n), 3), strict=True):
         bank.keep_pace(t_ns, DT_S)
-        bank.add(replace(block, t_ns=t_ns), 0.0, recent_event=False, resting=True)
+        bank.add(replace(block, t_ns=t_ns), 0.0, since_event_s=10.0, resting=True)
     seen_s = (bank.times_ns[-1] - bank.event_time_ns(3)) * 1e-9
-    assert seen_s == pytest.approx(SPECS[3].post_s, abs=2 * DT_S)
+    assert seen_s == pytest.approx(SPECS[Kernel(3)].post_s, abs=2 * DT_S)
     assert list(bank.times_ns) == sorted(bank.times_ns)
 
 
@@ -345,10 +345,10 @@ def test_a_bridged_gap_keeps_the_blocks_behind_it_in_their_places() -> None:
     blocks = blocks_of(push, np.zeros(n), 17, noise=0.0)
     whole_x, gapped_x = [], []
     for i, block in enumerate(blocks):
-        whole_x.append(whole.add(block, 0.0, recent_event=False, resting=False).x)
+        whole_x.append(whole.add(block, 0.0, since_event_s=10.0, resting=False).x)
         if not 845 <= i < 856:
             gapped.keep_pace(block.t_ns, DT_S)
-            gapped_x.append(gapped.add(block, 0.0, recent_event=False, resting=False).x)
+            gapped_x.append(gapped.add(block, 0.0, since_event_s=10.0, resting=False).x)
             assert gapped.event_time_ns(2) == pytest.approx(whole.event_time_ns(2), abs=20)
     np.testing.assert_allclose(gapped_x[845:], whole_x[856:], atol=1e-12)
 
@@ -362,5 +362,4 @@ def test_recogniser_looks_for_the_true_stop_of_a_reopened_move() -> None:
     assert recogniser.ignore_before_ns == 19 * 10**9
     recogniser.rest(3 * 10**10)
     assert recogniser.resting
-    assert recogniser.recent_event(3 * 10**10 + 10**9)
-    assert not recogniser.recent_event(3 * 10**10 + 4 * 10**9)
+    assert recogniser.since_event_s(3 * 10**10 + 10**9) == pytest.approx(1.0)

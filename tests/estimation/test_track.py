@@ -6,11 +6,11 @@ import pytest
 
 from estimation.belief import Belief
 from estimation.displacement_sensor import Reading
-from estimation.mskf import SPEED, Filter, P
+from estimation.mskf import PUSH_FLOW, SPEED, Filter, P
 from estimation.records import Vector
 from estimation.segments import Motion
 from estimation.settings import EstimatorSettings, SupportSettings
-from estimation.track import Flow, Step, Track
+from estimation.track import Step, Track
 
 S = 10**9
 GRAVITY: Vector = (0.0, 0.0, 9.80665)
@@ -18,8 +18,7 @@ GRAVITY: Vector = (0.0, 0.0, 9.80665)
 
 def track(p_m: float = 0.0, **settings: float) -> tuple[Track, EstimatorSettings]:
     estimator = EstimatorSettings.model_validate(settings)
-    filter_ = Filter.start(p_m, 0.0005, 0.018, 0.0015, 0.0012, 0.5)
-    return Track.begin(filter_, SupportSettings(), estimator), estimator
+    return Track.begin(Filter.start(p_m, 0.0005, SupportSettings(), estimator)), estimator
 
 
 def play(
@@ -29,17 +28,6 @@ def play(
     for i in range(round(from_s * 100) + 1, round(to_s * 100) + 1):
         readings = [] if value_m is None or i % 5 else [Reading(i * S // 100, value_m, variance_m2=1e-5)]
         of.advance(Step(i * S // 100, 0.01, GRAVITY, (0.0,) * 3, GRAVITY, readings=readings), belief, settings, 0.0)
-
-
-def test_usual_speed_is_the_weighted_mean_of_what_was_seen() -> None:
-    flow = Flow(0.01453, 0.0003**2)
-    for speed in (0.0150, 0.0152, 0.0149):
-        flow.learn(speed, 0.0002**2)
-    weights = [1 / 0.0003**2, *[1 / 0.0002**2] * 3]
-    mean = sum(w * v for w, v in zip(weights, (0.01453, 0.0150, 0.0152, 0.0149), strict=True)) / sum(weights)
-    assert flow.speed == pytest.approx(mean)
-    assert flow.variance == pytest.approx(1 / sum(weights))
-    assert flow.moves == 3
 
 
 def test_a_tilted_sensor_at_rest_feels_no_acceleration() -> None:
@@ -79,12 +67,13 @@ def test_a_stop_is_not_believed_without_evidence() -> None:
     of = finished_push(None, 34.4)
     assert of.ending is not None
     assert of.ending.end_m == of.ending.end_before_stop_m
-    assert of.push.moves == 0
+    assert of.pushes_learned == 0
 
 
 def test_a_stop_is_believed_once_the_flow_is_learned() -> None:
     of, settings = track()
-    of.push.learn(0.01453, 1e-9)
+    of.pushes_learned = 1
+    of.filter.state.reset(PUSH_FLOW, 0.01453, 1e-9)
     play(of, Belief(), settings, 0.0, 5.0)
     motion = Motion(1, 5 * S, confirmed=True, stop_ns=round(39.4 * S), stop_confirmed=True)
     play(of, Belief([motion]), settings, 5.0, 41.0)
@@ -92,7 +81,7 @@ def test_a_stop_is_believed_once_the_flow_is_learned() -> None:
     if abs(of.ending.end_before_stop_m - 0.5) < 3 * of.ending.sigma_before_stop_m:
         assert of.ending.end_m == pytest.approx(0.5, abs=0.001)
         assert of.ending.sigma_m < 0.001
-        assert of.push.moves == 2
+        assert of.pushes_learned == 2
 
 
 def test_nothing_is_known_of_a_copy_that_went_on() -> None:
