@@ -25,14 +25,16 @@ class SmoothedMove:
 
 @dataclass(slots=True)
 class SmoothedMoves:
-    """Takes the steps in order and finds the moves in them."""
+    """Takes the steps in order and finds the moves that begin in them."""
 
     _moves: list[SmoothedMove] = field(default_factory=list)
-    _number: int = 0
+    _number: int | None = None  # of the last move, whoever saw it begin
     _moving: bool = False
 
     def add(self, step: SmoothedStep) -> None:
         """Take the next step."""
+        if self._number is None:
+            self._number = step.settled.move
         if step.settled.move != self._number:
             self._number, self._moving = step.settled.move, True
             self._moves.append(SmoothedMove(step, step))
@@ -41,7 +43,7 @@ class SmoothedMoves:
             self._moving = step.settled.segment is not Segment.ZUPT
 
     def of(self, move: Move) -> SmoothedMove | None:
-        """The smoothed counterpart of a move; None if no step fell into it."""
+        """The smoothed counterpart of a move; None if its steps do not show where it began."""
         for smoothed in self._moves:
             if smoothed.first.settled.t_ns <= move.stop_ns <= smoothed.last.settled.t_ns:
                 return smoothed
