@@ -90,6 +90,10 @@ class Gaussian:
         p = self.p
         return sum(a * b * p[i][j] for i, a in row for j, b in row)
 
+    def covariance_with(self, row: Row) -> list[float]:
+        """Covariance (n,) of the state with the linear combination `row`."""
+        return [sum(line[j] * b for j, b in row) for line in self.p]
+
     def measure(self, row: Row, innovation: float, variance: float, hold: Sequence[int] = ()) -> float:
         """Scalar measurement of `row` with the given innovation; returns the innovation's variance.
 
@@ -97,7 +101,7 @@ class Gaussian:
         considered but not changed (Schmidt): what the measurement tells of them has been used already.
         """
         p = self.p
-        ph = [sum(line[j] * b for j, b in row) for line in p]
+        ph = self.covariance_with(row)
         s = variance + sum(ph[i] * a for i, a in row)
         if s <= 0.0:
             return s  # both the state and the measurement claim to be exact: nothing to learn

@@ -6,6 +6,7 @@ were handed over. All that it remembers is one tree of plain data, `PipelineStat
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from math import acos, degrees, hypot, log, sqrt
 
@@ -79,6 +80,7 @@ class Pipeline:
         self._latency_s = latency_s
         self._delay_s = imu_delay_s
         self.state = PipelineState.begin(self._support, self._settings, start or Start(), timeout_s)
+        self.on_settled: Callable[[Estimate], object] = lambda _: None  # called while the settled track stands there
 
     @staticmethod
     def prepare() -> None:
@@ -365,7 +367,9 @@ class Pipeline:
         while s.buffer and s.buffer[0].t_ns <= until_ns:
             step, can_state = s.buffer.popleft(), s.can_states.popleft()
             self._advance(s.settled, step)
-            out.append(self._estimate(s.settled, step, can_state, Tier.SETTLED))
+            estimate = self._estimate(s.settled, step, can_state, Tier.SETTLED)
+            self.on_settled(estimate)
+            out.append(estimate)
         s.belief.forget_before(until_ns)
 
     # --- supervision ------------------------------------------------------------------------------------------

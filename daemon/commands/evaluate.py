@@ -77,6 +77,7 @@ def run(arguments: argparse.Namespace) -> int:
         "p95",
         "worst",
         "RMSE in move",
+        "smoothed",
         "95 % holds",
         "onset ms",
         "stop ms",
@@ -85,7 +86,8 @@ def run(arguments: argparse.Namespace) -> int:
     for name, row in rows.items():
         made.add_row(
             name,
-            *(_figure(row, key, 1) for key in ("median_mm", "p95_mm", "worst_mm", "rmse_median_mm")),
+            *(_figure(row, key, 1) for key in ("median_mm", "p95_mm", "worst_mm")),
+            *(_figure(row, key, 1) for key in ("rmse_median_mm", "smoothed_rmse_median_mm")),
             _figure(row, "coverage_95", 2),
             *(f"{_figure(row, f'{e}_median_ms', 0)} | {_figure(row, f'{e}_p95_ms', 0)}" for e in ("onset", "stop")),
             f"{row['failures']} of {row['records']}",

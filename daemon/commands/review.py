@@ -4,34 +4,37 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from daemon.offline.reference_errors import ReferenceErrors
     from daemon.offline.reviewing import Review
+    from daemon.offline.smoothed_moves import SmoothedMove
 
 HELP = (
     "Sum up a recording: contents, gaps, faults, sensor health, moves, and the errors against the reference "
-    "sensor if there is one. The moves are estimated anew from what was received."
+    "sensor if there is one. The moves are estimated anew from what was received, and smoothed: at each step "
+    "with what came after it."
 )
-EXAMPLE = "ramstroke review /var/lib/ramstroke/recordings/ramstroke-20260105T063000Z.mcap"
+EXAMPLE = "ramstroke review /var/lib/ramstroke/recordings/ramstroke-20260105T063000Z.mcap --csv shift.csv"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.add_argument("file", type=Path, help="the recording")
+    parser.add_argument("--csv", type=Path, help="write one row per step, settled and smoothed, to this table")
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Review."""
-    from dataclasses import asdict
-
     from daemon import terminal
     from daemon.offline.reviewing import review
 
     with terminal.progress("messages") as progress:
-        reviewed = review(arguments.file, progress)
+        reviewed = review(arguments.file, progress, arguments.csv)
     result = reviewed.replayed
     if arguments.json:
         terminal.print_json(
@@ -53,8 +56,12 @@ def run(arguments: argparse.Namespace) -> int:
                 "segments": _shares(reviewed.segments),
                 "can_states": _shares(reviewed.can_states),
                 "events": [{"t_s": event.t_ns * 1e-9, "what": event.what} for event in reviewed.events],
-                "moves": [terminal.move_row(move) for move in result.moves],
-                "reference": None if reviewed.reference is None else asdict(reviewed.reference),
+                "moves": [
+                    terminal.move_row(move) | {"smoothed": _smoothed_row(reviewed.smoothed_moves.of(move))}
+                    for move in result.moves
+                ],
+                "reference": _errors_row(reviewed.reference.settled()),
+                "reference_smoothed": _errors_row(reviewed.reference.smoothed()),
                 "health": reviewed.last_health,
             }
         )
@@ -66,6 +73,25 @@ def run(arguments: argparse.Namespace) -> int:
 def _shares(counts: Mapping[Any, int]) -> dict[str, float]:
     total = sum(counts.values())
     return {str(name): count / total for name, count in counts.items()}
+
+
+def _smoothed_row(move: SmoothedMove | None) -> dict[str, float] | None:
+    if move is None:
+        return None
+    first, last = move.first, move.last
+    return {
+        "start_mm": first.displacement_m * 1e3,
+        "start_sigma_mm": first.sigma_m * 1e3,
+        "end_mm": last.displacement_m * 1e3,
+        "end_sigma_mm": last.sigma_m * 1e3,
+        "velocity_mm_s": last.speed_m_s * 1e3,
+        "velocity_sigma_mm_s": last.speed_sigma_m_s * 1e3,
+        "largest_difference_mm": move.largest_difference_m * 1e3,
+    }
+
+
+def _errors_row(errors: ReferenceErrors | None) -> dict[str, Any] | None:
+    return None if errors is None else asdict(errors)
 
 
 def _print(path: Path, reviewed: Review) -> None:
@@ -104,11 +130,28 @@ def _print(path: Path, reviewed: Review) -> None:
     for event in reviewed.events:
         say(f"{event.t_ns * 1e-9:12.3f} s  {event.what}")
     terminal.print_moves(result.moves)
-    if reviewed.reference is not None:
-        errors = reviewed.reference
-        say(
-            f"against the reference ({errors.readings} readings): mean {errors.mean_mm:+.2f} mm, "
-            f"rms {errors.rms_mm:.2f} mm, worst {errors.worst_mm:+.2f} mm, {errors.inside_95:.1%} inside ± 1.96 σ"
-        )
-    else:
+    for move in result.moves:
+        row = _smoothed_row(reviewed.smoothed_moves.of(move))
+        if row is not None:
+            say(f"{move.kind} at {move.onset_ns * 1e-9:.2f} s, smoothed: {_move_in_words(row)}")
+    settled, smoothed = reviewed.reference.settled(), reviewed.reference.smoothed()
+    if settled is None or smoothed is None:
         say("no reference sensor in it")
+        return
+    say(f"against the reference ({settled.readings} readings): {_errors_in_words(settled)}")
+    say(f"smoothed, against the same: {_errors_in_words(smoothed)}")
+
+
+def _move_in_words(row: dict[str, float]) -> str:
+    return (
+        f"{row['start_mm']:.1f} ± {row['start_sigma_mm']:.1f} to {row['end_mm']:.1f} ± {row['end_sigma_mm']:.1f} mm "
+        f"at {row['velocity_mm_s']:.2f} ± {row['velocity_sigma_mm_s']:.2f} mm/s, "
+        f"{row['largest_difference_mm']:+.1f} mm from settled at most"
+    )
+
+
+def _errors_in_words(errors: ReferenceErrors) -> str:
+    return (
+        f"mean {errors.mean_mm:+.2f} mm, rms {errors.rms_mm:.2f} mm, worst {errors.worst_mm:+.2f} mm, "
+        f"{errors.inside_95:.1%} inside ± 1.96 σ"
+    )

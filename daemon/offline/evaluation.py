@@ -22,8 +22,9 @@ from drivers.virtual.motion import TrueMove
 from drivers.virtual.scenarios import SCENARIOS
 from drivers.virtual.support import VirtualSupport
 from estimation.pipeline import Pipeline, Start
-from estimation.records import Displacement, Estimate, ImuSample, Move, MoveKind, Record, Tier
+from estimation.records import Displacement, ImuSample, Move, MoveKind, Record
 from estimation.settings import SupportSettings
+from estimation.settled_smoother import SettledSmoother, SmoothedStep
 
 FILTER_TAPS_EXPONENT, GYRO_RANGE_DPS = 2, 500  # the driver's defaults
 TIME_TOLERANCE_S = 0.3  # an onset or stop farther off is a failure
@@ -41,6 +42,8 @@ class MoveScore:
     sigma_mm: float
     error_after_stop_mm: float
     rmse_mm: float  # settled tier, over the move
+    smoothed_rmse_mm: float
+    smoothed_inside_95: float  # share of the move's steps within the stated 95 %
     onset_error_ms: float
     stop_error_ms: float
 
@@ -84,14 +87,19 @@ def evaluate_seed(seed: int, scenario: str, mode: str) -> SeedResult:
     """First cycle of one machine, nothing learned before."""
     support = VirtualSupport(seed, SCENARIOS[scenario], cycles=1)
     pipeline = Pipeline(start=Start(0.0))
+    steps: list[SmoothedStep] = []
+    smoother = SettledSmoother(pipeline, steps.append)
     outputs = [out for record in records_of(support, fused=mode == "fused") for out in pipeline.feed(record)]
     outputs += pipeline.finish()
+    smoother.finish()
     moves: dict[int, Move] = {out.number: out for out in outputs if isinstance(out, Move)}
-    settled = [out for out in outputs if isinstance(out, Estimate) and out.tier is Tier.SETTLED]
 
     truth = support.truth()
-    t_s = np.array([e.t_ns for e in settled]) * 1e-9
-    deviation_m = np.array([e.displacement_m for e in settled]) - np.interp(t_s, truth.t_s, truth.displacement_m)
+    t_s = np.array([step.settled.t_ns for step in steps]) * 1e-9
+    true_m = np.interp(t_s, truth.t_s, truth.displacement_m)
+    deviation_m = np.array([step.settled.displacement_m for step in steps]) - true_m
+    smoothed_m = np.array([step.displacement_m for step in steps]) - true_m
+    smoothed_inside = np.abs(smoothed_m) <= SIGMAS_95 * np.array([step.sigma_m for step in steps])
     scores = []
     for move, true in zip(moves.values(), truth.moves, strict=False):
         during = (t_s >= true.onset_s) & (t_s <= true.stop_s)
@@ -102,6 +110,8 @@ def evaluate_seed(seed: int, scenario: str, mode: str) -> SeedResult:
                 sigma_mm=move.sigma_before_stop_m * 1e3,
                 error_after_stop_mm=(move.end_m - true.end_m) * 1e3,
                 rmse_mm=float(np.sqrt(np.mean(deviation_m[during] ** 2))) * 1e3,
+                smoothed_rmse_mm=float(np.sqrt(np.mean(smoothed_m[during] ** 2))) * 1e3,
+                smoothed_inside_95=float(smoothed_inside[during].mean()),
                 onset_error_ms=(move.onset_ns * 1e-9 - true.onset_s) * 1e3,
                 stop_error_ms=(move.stop_ns * 1e-9 - true.stop_s) * 1e3,
             )
@@ -184,6 +194,8 @@ def summarise(results: list[SeedResult], kind: str) -> dict[str, Any]:
         "failures": len(results) - len(good),
         **_spread(error),
         "rmse_median_mm": float(np.median([score.rmse_mm for score in scores])),
+        "smoothed_rmse_median_mm": float(np.median([score.smoothed_rmse_mm for score in scores])),
+        "smoothed_inside_95": float(np.mean([score.smoothed_inside_95 for score in scores])),
         "coverage_95": float(inside.mean()),
         "nees": float(np.mean(normalised**2)),
         "onset_median_ms": float(np.median(np.abs([score.onset_error_ms for score in scores]))),

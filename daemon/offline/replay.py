@@ -17,6 +17,7 @@ from daemon.settings import Settings
 from daemon.stream import INPUTS, Sink, Stream
 from estimation.pipeline import Start
 from estimation.records import Estimate, Move
+from estimation.settled_smoother import SettledSmoother, SmoothedStep
 
 _COMPARED = (topics.PROVISIONAL, topics.SETTLED)
 
@@ -82,6 +83,7 @@ def replay(
     settings: Settings | None = None,
     sink: Sink | None = None,
     progress: Callable[[int], None] | None = None,
+    smoothed: Callable[[SmoothedStep], None] | None = None,
 ) -> ReplayResult:
     """Feed what was received through a fresh pipeline.
 
@@ -90,6 +92,7 @@ def replay(
         settings: instead of the file's own; then the file's snapshot is not used either.
         sink: gets every input and output.
         progress: called now and then with the number of messages read.
+        smoothed: gets every settled step with what all that follows says of it, minutes behind `sink`.
 
     Raises:
         RecordingError: the recording cannot be used.
@@ -111,6 +114,7 @@ def replay(
             sink(topic, record)
 
     stream = _stream_for(recording, settings, receive)
+    smoother = None if smoothed is None else SettledSmoother(stream.pipeline, smoothed)
     first_ns = last_ns = None
     count = 0
     stream.pipeline.prepare()
@@ -129,6 +133,8 @@ def replay(
         if progress is not None and count % 5000 == 0:
             progress(count)
     stream.finish()
+    if smoother is not None:
+        smoother.finish()
     elapsed_s = time.perf_counter() - began
     has_estimates = any(c.compared or c.recorded for c in comparisons.values())
     return ReplayResult(

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import csv
-import os
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from daemon.offline.replay import ReplayResult, replay
+from daemon.offline.step_table import COLUMNS, cells, step_table
 from daemon.recording import topics
-from daemon.recording.errors import failed, refuse_same_file
+from daemon.recording.errors import refuse_same_file
 from daemon.recording.metadata import LEARNED, SNAPSHOT
 from daemon.recording.reader import Recording
 from daemon.recording.topics import Recorded
@@ -18,17 +17,6 @@ from daemon.recording.writer import RecordingWriter
 from daemon.settings import Settings
 from daemon.stream import Sink
 from estimation.records import Estimate
-
-COLUMNS = (
-    "t_s",
-    "displacement_mm",
-    "sigma_mm",
-    "velocity_mm_s",
-    "velocity_sigma_mm_s",
-    "segment",
-    "tier",
-    "can_state",
-)
 
 
 def replay_to(
@@ -73,33 +61,10 @@ def _recording_sink(source: Path, output: Path, settings: Settings | None) -> It
 
 @contextmanager
 def _table_sink(path: Path, wanted: str) -> Iterator[Sink]:
-    part = path.with_name(f".{path.name}.part-{os.getpid()}")
-    try:
-        with part.open("w", newline="") as stream:
-            rows = csv.writer(stream, lineterminator="\n")
-            rows.writerow(COLUMNS)
+    with step_table(path, COLUMNS) as add_row:
 
-            def receive(topic: str, record: Recorded) -> None:
-                if topic == wanted and isinstance(record, Estimate):
-                    rows.writerow(_row(record))
+        def receive(topic: str, record: Recorded) -> None:
+            if topic == wanted and isinstance(record, Estimate):
+                add_row(cells(record))
 
-            yield receive
-        part.replace(path)
-    except OSError as error:
-        raise failed("write", path, error) from error
-    finally:
-        with suppress(OSError):
-            part.unlink()
-
-
-def _row(estimate: Estimate) -> tuple[object, ...]:
-    return (
-        f"{estimate.t_ns // 1_000_000_000}.{estimate.t_ns % 1_000_000_000:09d}",
-        f"{estimate.displacement_m * 1e3:.6f}",
-        f"{estimate.sigma_m * 1e3:.6f}",
-        f"{estimate.velocity_m_s * 1e3:.6f}",
-        f"{estimate.velocity_sigma_m_s * 1e3:.6f}",
-        estimate.segment,
-        estimate.tier,
-        estimate.can_state,
-    )
+        yield receive

@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 import json
-from bisect import bisect_left
 from collections import Counter
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from daemon.offline.reference_errors import ReferenceComparison
 from daemon.offline.replay import ReplayResult, replay
+from daemon.offline.smoothed_moves import SmoothedMoves
+from daemon.offline.step_table import SMOOTHED_COLUMNS, smoothed_cells, step_table
 from daemon.recording import topics
+from daemon.recording.errors import refuse_same_file
 from daemon.recording.reader import Recording
 from daemon.recording.topics import TOPICS, Health, Recorded, RecordedDisplacement
 from drivers.adis16448.burst import Burst, Fault
-from estimation.records import CanState, Displacement, Estimate, Event, Segment, Tier
+from estimation.records import CanState, Event, Segment
+from estimation.settled_smoother import SmoothedStep
 
 GAP_S = 0.05
-SIGMAS_95 = 1.96
 
 
 @dataclass(slots=True)
@@ -27,17 +31,6 @@ class Gap:
 
     at_s: float
     length_s: float
-
-
-@dataclass(slots=True)
-class ReferenceErrors:
-    """Settled estimate minus reference, at the reference's readings."""
-
-    readings: int
-    mean_mm: float
-    rms_mm: float
-    worst_mm: float
-    inside_95: float  # share within the stated 95 %
 
 
 @dataclass(slots=True)
@@ -56,30 +49,58 @@ class Review:
     can_states: Counter[CanState] = field(default_factory=Counter)
     events: list[Event] = field(default_factory=list)
     last_health: dict[str, Any] | None = None
-    reference: ReferenceErrors | None = None
+    reference: ReferenceComparison = field(default_factory=ReferenceComparison)
+    smoothed_moves: SmoothedMoves = field(default_factory=SmoothedMoves)
 
 
 GAPS_SHOWN = 20
 
 
-def review(path: Path, progress: Callable[[int], None] | None = None) -> Review:
-    """Read and replay one recording. Raises RecordingError or CanConfigError."""
-    settled: list[Estimate] = []
-    references: list[Displacement] = []
+def review(path: Path, progress: Callable[[int], None] | None = None, table: Path | None = None) -> Review:
+    """Read, replay and smooth one recording. Raises RecordingError or CanConfigError.
+
+    Args:
+        path: the recording.
+        progress: called now and then with the number of messages read.
+        table: gets a row for each step, settled and smoothed.
+    """
+    segments: Counter[Segment] = Counter()
+    can_states: Counter[CanState] = Counter()
     events: list[Event] = []
+    reference, smoothed_moves = ReferenceComparison(), SmoothedMoves()
 
     def receive(_topic: str, record: Recorded) -> None:
-        if isinstance(record, Estimate):
-            if record.tier is Tier.SETTLED:
-                settled.append(record)
-        elif isinstance(record, Event):
+        if isinstance(record, Event):
             events.append(record)
         elif isinstance(record, RecordedDisplacement) and record.reading.is_reference:
-            references.append(record.reading)
+            reference.add_reading(record.reading)
 
-    result = replay(path, sink=receive, progress=progress)
+    with ExitStack() as stack:
+        add_row = None
+        if table is not None:
+            refuse_same_file(path, table)
+            add_row = stack.enter_context(step_table(table, SMOOTHED_COLUMNS))
+
+        def take(step: SmoothedStep) -> None:
+            segments[step.settled.segment] += 1
+            can_states[step.settled.can_state] += 1
+            reference.add_step(step)
+            smoothed_moves.add(step)
+            if add_row is not None:
+                add_row(smoothed_cells(step))
+
+        result = replay(path, sink=receive, progress=progress, smoothed=take)
     recording = Recording(path)
-    reviewed = Review(recording.metadata, recording.complete, result, events=events)
+    reviewed = Review(
+        recording.metadata,
+        recording.complete,
+        result,
+        segments=segments,
+        can_states=can_states,
+        events=events,
+        reference=reference,
+        smoothed_moves=smoothed_moves,
+    )
     last_ns: int | None = None
     for topic, record in recording.messages():
         if isinstance(record, Burst) and record.fault is not Fault.NONE:
@@ -92,9 +113,6 @@ def review(path: Path, progress: Callable[[int], None] | None = None) -> Review:
                 _note_gap(reviewed, last_ns, t_ns)
             last_ns = t_ns
     reviewed.messages, reviewed.lost = recording.counts, recording.lost
-    reviewed.segments.update(estimate.segment for estimate in settled)
-    reviewed.can_states.update(estimate.can_state for estimate in settled)
-    reviewed.reference = _against_reference(settled, references)
     return reviewed
 
 
@@ -111,29 +129,3 @@ def _parsed(text: str) -> dict[str, Any] | None:
     except ValueError:
         return None
     return health if isinstance(health, dict) else None
-
-
-def _against_reference(settled: list[Estimate], references: list[Displacement]) -> ReferenceErrors | None:
-    """Errors at the reference's times, the estimate drawn straight between its steps."""
-    times = [estimate.t_ns for estimate in settled]
-    errors_mm, inside = [], 0
-    for reading in references:
-        i = bisect_left(times, reading.t_ns)
-        if not reading.valid or i == 0 or i == len(times):
-            continue
-        before, after = settled[i - 1], settled[i]
-        share = (reading.t_ns - before.t_ns) / (after.t_ns - before.t_ns)
-        estimate_m = before.displacement_m + share * (after.displacement_m - before.displacement_m)
-        error_m = estimate_m - reading.value_m
-        errors_mm.append(error_m * 1e3)
-        inside += abs(error_m) <= SIGMAS_95 * max(before.sigma_m, after.sigma_m)
-    if not errors_mm:
-        return None
-    n = len(errors_mm)
-    return ReferenceErrors(
-        readings=n,
-        mean_mm=sum(errors_mm) / n,
-        rms_mm=(sum(e * e for e in errors_mm) / n) ** 0.5,
-        worst_mm=max(errors_mm, key=abs),
-        inside_95=inside / n,
-    )

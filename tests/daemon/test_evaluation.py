@@ -36,7 +36,7 @@ def test_results_do_not_depend_on_the_number_of_processes(fused: SeedResult) -> 
 
 def test_summary_is_the_plain_statistics_of_the_good_records_and_counts_the_others() -> None:
     def result(seed: int, error_mm: float, failure: str = "") -> SeedResult:
-        score = MoveScore("push", error_mm, 4.0, 0.1, abs(error_mm) / 2, 10.0, -20.0)
+        score = MoveScore("push", error_mm, 4.0, 0.1, abs(error_mm) / 2, abs(error_mm) / 8, 0.9, 10.0, -20.0)
         return SeedResult(seed, "fused", failure, [score], [2.0 * error_mm])
 
     errors = [1.0, -9.0, 3.0, -5.0]
@@ -51,6 +51,8 @@ def test_summary_is_the_plain_statistics_of_the_good_records_and_counts_the_othe
     assert row["coverage_95"] == 0.75  # 9 mm lies beyond 1.96 x 4 mm
     assert row["nees"] == pytest.approx(116 / 4 / 16)
     assert row["stop_median_ms"] == 20.0
+    assert row["smoothed_rmse_median_mm"] == row["rmse_median_mm"] / 4 == 0.5
+    assert row["smoothed_inside_95"] == pytest.approx(0.9)
     assert summarise_clock(results, 0)["median_mm"] == 8.0
     assert summarise([failed], "push") == {"records": 1, "failures": 1}
 

@@ -2,15 +2,37 @@
 
 from __future__ import annotations
 
+import csv
 import json
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from daemon.cli import main
+from daemon.offline.replay import replay
+from daemon.recording import topics
+from daemon.recording.reader import Recording
+from daemon.recording.topics import RecordedDisplacement
+from daemon.stream import Stream
 
 REGRESSION = Path(__file__).parent.parent / "data" / "regression"
 SILENT = REGRESSION / "controller_falls_silent_in_a_push.mcap"
+PARTIAL = REGRESSION / "partial_push_and_retract.mcap"
+
+
+def reviewed(capsys: pytest.CaptureFixture[str], path: Path, *options: str) -> dict[str, Any]:
+    """Run the command with --json."""
+    assert main(["review", str(path), "--json", *options]) == 0
+    told: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return told
+
+
+def table_of(path: Path) -> dict[str, list[str]]:
+    with path.open(newline="") as stream:
+        rows = list(csv.reader(stream))
+    return {name: list(column) for name, column in zip(rows[0], zip(*rows[1:], strict=True), strict=True)}
 
 
 def test_review_tells_contents_sensor_health_and_moves(capsys: pytest.CaptureFixture[str]) -> None:
@@ -36,7 +58,10 @@ def test_review_in_words_names_every_part(capsys: pytest.CaptureFixture[str]) ->
         "silent",
         "start proposed (push)",
         "push",
+        "push at 6.03 s, smoothed: 0.0 ± 0.5 to ",
+        "mm from settled at most",
         "against the reference",
+        "smoothed, against the same",
     ):
         assert part in words
 
@@ -50,3 +75,116 @@ def test_review_of_a_cut_file_says_so_and_of_a_missing_one_too(
     assert "cut short or still being written" in capsys.readouterr().out
     assert main(["review", str(tmp_path / "none.mcap")]) == 1
     assert "does not exist" in capsys.readouterr().err
+
+
+def test_the_table_has_settled_and_smoothed_values_side_by_side_and_the_figures_follow_from_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    both, settled = tmp_path / "both.csv", tmp_path / "settled.csv"
+    told = reviewed(capsys, PARTIAL, "--csv", str(both))
+    assert main(["replay", str(PARTIAL), "--csv", str(settled)]) == 0
+    columns, plain = table_of(both), table_of(settled)
+    assert {name: columns[name] for name in plain} == plain
+    t_s, p, sigma, smoothed, smoothed_sigma = (
+        np.array(columns[name], dtype=float)
+        for name in ("t_s", "displacement_mm", "sigma_mm", "smoothed_displacement_mm", "smoothed_sigma_mm")
+    )
+    assert np.all(smoothed_sigma <= sigma + 1e-6)
+    assert (p[-1], sigma[-1]) == (smoothed[-1], smoothed_sigma[-1])
+
+    assert [move["kind"] for move in told["moves"]] == ["push", "push", "retract"]
+    moving = np.array([segment != "ZUPT" for segment in columns["segment"]])
+    for move in told["moves"]:
+        of_move = np.flatnonzero(moving & (t_s > move["onset_s"] - 1) & (t_s < move["stop_s"] + 1))
+        first, last = of_move[0], of_move[-1] + 1
+        row = move["smoothed"]
+        assert (row["start_mm"], row["start_sigma_mm"]) == pytest.approx((smoothed[first], smoothed_sigma[first]))
+        assert (row["end_mm"], row["end_sigma_mm"]) == pytest.approx((smoothed[last], smoothed_sigma[last]))
+        difference = (smoothed - p)[first : last + 1]
+        assert row["largest_difference_mm"] == pytest.approx(difference[np.argmax(np.abs(difference))], abs=1e-5)
+        assert row["velocity_mm_s"] == pytest.approx(move["velocity_mm_s"], rel=0.03)
+        assert 0 < row["velocity_sigma_mm_s"] < 0.02 * abs(row["velocity_mm_s"])
+        # The stop that the second push reached tells where the first one had ended.
+        assert row["end_sigma_mm"] <= move["sigma_mm"]
+    assert told["moves"][0]["smoothed"]["end_sigma_mm"] < 0.6 * told["moves"][0]["sigma_mm"]
+    assert told["moves"][1]["smoothed"]["start_mm"] == pytest.approx(told["moves"][0]["smoothed"]["end_mm"], abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("field", "column"), [("reference", "displacement_mm"), ("reference_smoothed", "smoothed_displacement_mm")]
+)
+def test_errors_against_the_reference_are_those_of_the_table(
+    field: str, column: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    told = reviewed(capsys, PARTIAL, "--csv", str(tmp_path / "steps.csv"))
+    columns = {
+        name: np.array(column, dtype=float)
+        for name, column in table_of(tmp_path / "steps.csv").items()
+        if name.endswith(("_s", "_mm"))
+    }
+    readings = [
+        record.reading
+        for _, record in Recording(PARTIAL).messages((topics.REFERENCE,))
+        if isinstance(record, RecordedDisplacement) and record.reading.valid
+    ]
+    t_s = np.array([reading.t_ns for reading in readings]) * 1e-9
+    within = (t_s > columns["t_s"][0]) & (t_s <= columns["t_s"][-1])
+    reference_mm = np.array([reading.value_m for reading in readings])[within] * 1e3
+    errors = np.interp(t_s[within], columns["t_s"], columns[column]) - reference_mm
+    after = np.searchsorted(columns["t_s"], t_s[within])
+    sigma = columns[column.replace("displacement", "sigma") if "smoothed" in column else "sigma_mm"]
+    inside = np.abs(errors) <= 1.96 * np.maximum(sigma[after - 1], sigma[after])
+    assert told[field]["readings"] == len(errors)
+    assert told[field]["mean_mm"] == pytest.approx(errors.mean(), abs=1e-4)
+    assert told[field]["rms_mm"] == pytest.approx(np.sqrt(np.mean(errors**2)), abs=1e-4)
+    assert told[field]["worst_mm"] == pytest.approx(errors[np.argmax(np.abs(errors))], abs=1e-4)
+    assert told[field]["inside_95"] == pytest.approx(inside.mean(), abs=2 / len(errors))
+
+
+def test_smoothing_comes_nearer_to_the_reference(capsys: pytest.CaptureFixture[str]) -> None:
+    told = reviewed(capsys, PARTIAL)
+    assert told["reference_smoothed"]["rms_mm"] < 0.6 * told["reference"]["rms_mm"]
+    assert told["reference_smoothed"]["inside_95"] > 0.8
+
+
+def test_without_moves_and_reference_there_is_nothing_smoothed_to_tell(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table, imported = tmp_path / "rest.csv", tmp_path / "rest.mcap"
+    header = "t_s,gyro_x_rad_s,gyro_y_rad_s,gyro_z_rad_s,accel_x_m_s2,accel_y_m_s2,accel_z_m_s2"
+    rows = [f"{number / 200:.3f},0.001,-0.002,0,{number % 3 * 0.01},0,9.81" for number in range(1000)]
+    table.write_text("\n".join([header, *rows]) + "\n")
+    assert main(["import", str(table), "-o", str(imported)]) == 0
+    capsys.readouterr()
+    told = reviewed(capsys, imported, "--csv", str(tmp_path / "steps.csv"))
+    assert (told["moves"], told["reference"], told["reference_smoothed"]) == ([], None, None)
+    columns = table_of(tmp_path / "steps.csv")
+    assert len(columns["t_s"]) == 1000 // 8
+    assert set(columns["smoothed_velocity_mm_s"]) == {"0.000000"}
+    assert main(["review", str(imported)]) == 0
+    said = capsys.readouterr().out
+    assert "no reference sensor in it" in said
+    assert "smoothed" not in said
+
+
+def test_the_recording_is_never_overwritten_and_a_table_is_whole_or_not_there(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own = tmp_path / "own.mcap"
+    own.write_bytes(SILENT.read_bytes())
+    assert main(["review", str(own), "--csv", str(own)]) == 1
+    assert "name another file for the result" in capsys.readouterr().err
+    assert own.read_bytes() == SILENT.read_bytes()
+    assert main(["review", str(own), "--csv", str(tmp_path / "none" / "x.csv")]) == 1
+    assert "cannot write" in capsys.readouterr().err
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Stream, "finish", interrupt)
+    assert main(["review", str(own), "--csv", str(tmp_path / "x.csv")]) == 130
+    assert list(tmp_path.iterdir()) == [own]
+
+
+def test_smoothing_leaves_the_replay_as_it_is() -> None:
+    assert replay(SILENT, smoothed=lambda _: None).identical is True
