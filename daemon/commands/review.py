@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from daemon.offline.mount import MountReview
     from daemon.offline.reviewing import Review
 
 HELP = (
@@ -20,6 +21,9 @@ EXAMPLE = "ramstroke review /var/lib/ramstroke/recordings/ramstroke-20260105T063
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.add_argument("file", type=Path, help="the recording")
+    parser.add_argument(
+        "--estimate-mount", action="store_true", help="find out which way the sensor sits: what [mount] should say"
+    )
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
 
 
@@ -28,10 +32,12 @@ def run(arguments: argparse.Namespace) -> int:
     from dataclasses import asdict
 
     from daemon import terminal
+    from daemon.offline.mount import review_mount
     from daemon.offline.reviewing import review
 
     with terminal.progress("messages") as progress:
         reviewed = review(arguments.file, progress)
+        mount = review_mount(arguments.file, progress) if arguments.estimate_mount else None
     result = reviewed.replayed
     if arguments.json:
         terminal.print_json(
@@ -55,11 +61,12 @@ def run(arguments: argparse.Namespace) -> int:
                 "events": [{"t_s": event.t_ns * 1e-9, "what": event.what} for event in reviewed.events],
                 "moves": [terminal.move_row(move) for move in result.moves],
                 "reference": None if reviewed.reference is None else asdict(reviewed.reference),
+                "mount": None if mount is None else mount.row(),
                 "health": reviewed.last_health,
             }
         )
         return 0
-    _print(arguments.file, reviewed)
+    _print(arguments.file, reviewed, mount)
     return 0
 
 
@@ -68,7 +75,7 @@ def _shares(counts: Mapping[Any, int]) -> dict[str, float]:
     return {str(name): count / total for name, count in counts.items()}
 
 
-def _print(path: Path, reviewed: Review) -> None:
+def _print(path: Path, reviewed: Review, mount: MountReview | None) -> None:
     from daemon import terminal
 
     def say(text: str) -> None:
@@ -112,3 +119,5 @@ def _print(path: Path, reviewed: Review) -> None:
         )
     else:
         say("no reference sensor in it")
+    for line in () if mount is None else mount.lines():
+        say(line)
