@@ -33,6 +33,11 @@ INPUTS = (
 _LARGEST_READING = 1e4
 
 
+def is_possible(sample: ImuSample) -> bool:
+    """Whether any inertial sensor could have felt this."""
+    return all(abs(value) < _LARGEST_READING for value in sample.gyro + sample.accel)
+
+
 class Stream:
     """Takes every received record once, in order, and gives it and what follows from it to the sink.
 
@@ -75,7 +80,7 @@ class Stream:
         elif isinstance(record, Identity):
             self._meet(record)
         elif isinstance(record, ImuSample):
-            if all(abs(value) < _LARGEST_READING for value in record.gyro + record.accel):
+            if is_possible(record):
                 self._feed_sample(record)
             else:
                 self.bad_bursts += 1

@@ -197,3 +197,8 @@ class KernelBank:
 def post_steps(dt_s: float) -> tuple[int, ...]:
     """Blocks between a step and the moment each kernel sees as much of it as it wants."""
     return tuple(max(round(spec.post_s / dt_s), 1) for spec in SPECS.values())
+
+
+def longest_window(dt_s: float) -> int:
+    """Blocks that the kernel with the longest look back sees."""
+    return max(round(PRE_LONG_S / dt_s), 2) + max(post_steps(dt_s))

@@ -52,6 +52,7 @@ STOP_KERNEL_BIAS_S = 0.06  # its largest answer comes so much before the start o
 QUIET_AFTER_STOP_S = 0.75  # a stop rings too ...
 SLOW_QUIET_AFTER_STOP_S = 1.5  # ... and the wide kernels hear it longer
 CANDIDATES = 8
+SHARP_SHARE = 0.55  # what a sharp kernel hears of a slow start is less, what a slow one hears of a sharp step no more
 LEAST_MOVE_S = 2.0  # nearer to the stop its own side lobes look like starts
 SURE = 8.0  # nats: such a candidate is believed before the last stop is doubted
 QUIETEST_M_S2 = 0.01  # a vibration below this is none
@@ -177,7 +178,7 @@ class SegmentRecogniser:
         """Judge one block; at most one decision a block."""
         motion = self.motion
         if motion is None or not motion.confirmed:
-            if self._find_unstarted(steps, bank, context):
+            if self._find_unstarted(bank, context):
                 return Decision.STOP_UNSTARTED
             if motion is None:
                 return self._propose_start(t_ns, steps, bank, context) or self._propose_shown(t_ns, context)
@@ -257,6 +258,10 @@ class SegmentRecogniser:
                 slow = self._largest(bank, kernel, motion.onset_ns, 1.0)
                 if slow is None or slow.t_ns - self.last_event_ns < SLOW_QUIET_AFTER_STOP_S * 1e9:
                     continue
+                sign = 1 if slow.x > 0 else -1
+                beside = self._largest(bank, Kernel.START_WHOLE, slow.t_ns, 0.6, sign)
+                if beside is not None and beside.x * sign > SHARP_SHARE * abs(slow.x):
+                    continue  # the side lobe of a sharp step
                 if self._accept(slow, None, 0.6, CONFIRM_SLOW_EVIDENCE, bank, context, slow=True):
                     return Decision.START_CONFIRMED
             if t_ns < motion.onset_ns + round(2.6e9) and context.shown is None:
@@ -365,10 +370,15 @@ class SegmentRecogniser:
             return stop_ns, None
         return burst.t_ns, burst
 
-    def _find_unstarted(self, steps: Steps, bank: StepBank, context: Context) -> bool:
+    def _find_unstarted(self, bank: StepBank, context: Context) -> bool:
         """A stop at rest: its move was missed, or ended too early in the belief."""
-        x, sigma = steps.x[Kernel.STOP_LATE], steps.sigma[Kernel.STOP_LATE]
-        t_ns = bank.event_time_ns(Kernel.STOP_LATE)
+        # As far back as the slowest kernel sees: half of a slow start looks like a whole stop.
+        ago = bank.post_steps[Kernel.START_SLOW] - bank.post_steps[Kernel.STOP_LATE]
+        x, sigma = (
+            float(bank.x.values[-1 - ago, Kernel.STOP_LATE]),
+            float(bank.sigma.values[-1 - ago, Kernel.STOP_LATE]),
+        )
+        t_ns = bank.event_time_ns(Kernel.STOP_LATE, ago)
         direction = -1 if x > 0 else 1
         speed = context.speed(direction)
         if direction not in context.felt or t_ns - self.last_event_ns < UNSTARTED_AFTER_S * 1e9:
@@ -380,8 +390,8 @@ class SegmentRecogniser:
         if strength - max(as_start, 0.0) < UNSTARTED:
             return False
         largest = self._largest(bank, Kernel.STOP_LATE, t_ns, SEARCH_S, sign=-direction, judged_too=True)
-        if largest is None or largest.index < 2:
-            return False  # still growing
+        if largest is None or self._slower(bank, t_ns, abs(x), sign=-direction):
+            return False
         beside = self._largest(bank, Kernel.START_WHOLE, t_ns, 0.5, judged_too=True)
         if beside is not None and abs(beside.x) > 1.4 * speed:
             return False  # the side lobe of a larger step
@@ -406,6 +416,14 @@ class SegmentRecogniser:
         self.ignore_before_ns = stop_ns + round(QUIET_AFTER_STOP_S * 1e9)
         self.candidates.clear()
         return True
+
+    def _slower(self, bank: StepBank, t_ns: int, size: float, sign: int) -> bool:
+        """Whether a slow start nearby explains more than a sharp step of that size."""
+        for kernel in SLOW_KERNELS:
+            slow = self._largest(bank, kernel, t_ns, 0.6, sign, judged_too=True)
+            if slow is not None and size < SHARP_SHARE * slow.x * sign:
+                return True
+        return False
 
     def _missed_onset(self, direction: int, stop_ns: int, context: Context) -> tuple[int, int | None]:
         """When the move went on whose stop has been found, and when it began if the last stop was none.

@@ -20,6 +20,7 @@ from estimation.kernels import (
     SPECS,
     VIBRATION_LEVELS_M_S2,
     KernelBank,
+    longest_window,
     post_steps,
 )
 from estimation.noise import ACCEL_NOISE
@@ -35,7 +36,7 @@ BRIDGE_FROM_S = 0.5
 UNDISTURBED_S = 1.5  # after an event: before, its own ringing would count as vibration
 
 LOOK_AFTER = 8.0  # windows
-OTHER_VIBRATION = 0.15  # difference of unit autocovariances that asks for other kernels
+OTHER_VIBRATION = 0.08  # difference of unit autocovariances that asks for other kernels
 
 _KERNELS = np.arange(len(SPECS))
 
@@ -96,7 +97,7 @@ class VibrationNoise:
             return
         self.look_at = min(2.0 * self.spectrum.windows, self.spectrum.windows + LOOK_AFTER)
         dt_s = self.spectrum.dt_s
-        n = _longest_window(dt_s)
+        n = longest_window(dt_s)
         now = self.spectrum.lags(n)
         in_use = np.array(self.lags) if self.lags else design_lags(dt_s, n)
         if np.abs(now - in_use).max() > OTHER_VIBRATION:
@@ -119,13 +120,9 @@ class VibrationNoise:
         return self.gain if self.lags else _designed_gain(self.spectrum.dt_s)
 
 
-def _longest_window(dt_s: float) -> int:
-    return max(round(PRE_LONG_S / dt_s), 2) + max(post_steps(dt_s))
-
-
 @lru_cache(maxsize=4)
 def _designed(dt_s: float) -> _Banks:
-    return _Banks.of(dt_s, VibrationSpectrum(dt_s).lags(_longest_window(dt_s)))
+    return _Banks.of(dt_s, VibrationSpectrum(dt_s).lags(longest_window(dt_s)))
 
 
 @lru_cache(maxsize=4)
@@ -158,7 +155,7 @@ class StepBank:
     gyro_bias_rad_s: float = 0.0
 
     def __post_init__(self) -> None:
-        window, depth = _longest_window(self.dt_s), self.depth
+        window, depth = longest_window(self.dt_s), self.depth
         if not len(self.push_m_s2.values):
             self.push_m_s2, self.tilt_rad = RollingWindow(np.zeros(window)), RollingWindow(np.zeros(window))
             self.x = RollingWindow(np.zeros((depth, len(SPECS))))

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from daemon.offline.mount import MountReview
     from daemon.offline.reference_errors import ReferenceErrors
     from daemon.offline.reviewing import Review
     from daemon.offline.smoothed_moves import SmoothedMove
@@ -25,16 +26,21 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.add_argument("file", type=Path, help="the recording")
     parser.add_argument("--csv", type=Path, help="write one row per step, settled and smoothed, to this table")
+    parser.add_argument(
+        "--estimate-mount", action="store_true", help="find out which way the sensor sits: what [mount] should say"
+    )
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Review."""
     from daemon import terminal
+    from daemon.offline.mount import review_mount
     from daemon.offline.reviewing import review
 
     with terminal.progress("messages") as progress:
         reviewed = review(arguments.file, progress, arguments.csv)
+        mount = review_mount(arguments.file, progress) if arguments.estimate_mount else None
     result = reviewed.replayed
     if arguments.json:
         terminal.print_json(
@@ -62,11 +68,12 @@ def run(arguments: argparse.Namespace) -> int:
                 ],
                 "reference": _errors_row(reviewed.reference.settled()),
                 "reference_smoothed": _errors_row(reviewed.reference.smoothed()),
+                "mount": None if mount is None else mount.row(),
                 "health": reviewed.last_health,
             }
         )
         return 0
-    _print(arguments.file, reviewed)
+    _print(arguments.file, reviewed, mount)
     return 0
 
 
@@ -94,7 +101,7 @@ def _errors_row(errors: ReferenceErrors | None) -> dict[str, Any] | None:
     return None if errors is None else asdict(errors)
 
 
-def _print(path: Path, reviewed: Review) -> None:
+def _print(path: Path, reviewed: Review, mount: MountReview | None) -> None:
     from daemon import terminal
 
     def say(text: str) -> None:
@@ -130,6 +137,8 @@ def _print(path: Path, reviewed: Review) -> None:
     for event in reviewed.events:
         say(f"{event.t_ns * 1e-9:12.3f} s  {event.what}")
     terminal.print_moves(result.moves)
+    for line in () if mount is None else mount.lines():
+        say(line)
     for move in result.moves:
         row = _smoothed_row(reviewed.smoothed_moves.of(move))
         if row is not None:

@@ -87,7 +87,7 @@ class VirtualSupport:
         self._controller_rng = controller
         axes = np.eye(3) if sensor_axes is None else sensor_axes
         tilt = np.radians(mounting.uniform(-MOUNTING_ERROR_DEG, MOUNTING_ERROR_DEG, 3))
-        self._to_sensor = _small_rotation(tilt) @ axes
+        self.to_sensor: FloatArray = _small_rotation(tilt) @ axes  # (3, 3), support axes to true sensor axes
         played = repeat(script or full_cycle(), *(() if cycles is None else (cycles,)))
         count = None if cycles is None else warm_up + cycles
         scripts = chain(repeat(full_cycle(), warm_up), played)
@@ -114,7 +114,7 @@ class VirtualSupport:
 
     def inertial_input(self) -> SupportInput:
         """What the inertial sensor feels, sample by sample of its own clock."""
-        return SupportInput(self._cycles, self.start_ns, self.sample_rate_hz, self._to_sensor)
+        return SupportInput(self._cycles, self.start_ns, self.sample_rate_hz, self.to_sensor)
 
     def observations(self) -> Iterator[Observation]:
         """Readings of the controller's displacement sensor, times on the run's clock."""

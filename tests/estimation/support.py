@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache, cached_property
 
 import numpy as np
@@ -16,7 +16,7 @@ from drivers.virtual.scenarios import SCENARIOS
 from drivers.virtual.support import VirtualSupport
 from estimation.pipeline import Pipeline
 from estimation.records import Displacement, Estimate, Event, ImuSample, Move, Output, Record, Tier
-from estimation.settings import SupportSettings
+from estimation.settings import MountSettings, SignedAxis, SupportSettings
 
 Floats = NDArray[np.float64]
 
@@ -38,6 +38,7 @@ class Run:
     true_t_s: Floats
     true_m: Floats
     moves: tuple[TrueMove, ...]
+    to_sensor: Floats = field(default_factory=lambda: np.eye(3))  # (3, 3), support axes to sensor axes
 
     @cached_property
     def samples(self) -> tuple[ImuSample, ...]:
@@ -61,10 +62,23 @@ def merged(*streams: Iterable[Record]) -> list[Record]:
     return sorted((record for stream in streams for record in stream), key=lambda record: record.t_ns)
 
 
-@cache
-def run_of(seed: int, scenario: str = "nominal", script: tuple[PlannedMove, ...] | None = None, cycles: int = 1) -> Run:
+def direction(axis: SignedAxis) -> Floats:
+    """Unit vector of a signed axis."""
+    return np.array([(1.0 if axis[0] == "+" else -1.0) * (name == axis[1]) for name in "xyz"])
+
+
+def make_run(
+    seed: int,
+    scenario: str = "nominal",
+    script: tuple[PlannedMove, ...] | None = None,
+    cycles: int = 1,
+    mount: MountSettings | None = None,
+) -> Run:
     """One seed's run; sensor errors, filter and quantisation of the part included."""
-    support = VirtualSupport(seed, SCENARIOS[scenario], cycles=cycles, script=script)
+    mount = mount or MountSettings()
+    push, up = direction(mount.push), direction(mount.up)
+    axes = np.column_stack([np.cross(push, up), push, up])
+    support = VirtualSupport(seed, SCENARIOS[scenario], cycles=cycles, script=script, sensor_axes=axes)
     blocks = []
     source = support.inertial_input()
     while (block := source.block()) is not None:
@@ -86,7 +100,11 @@ def run_of(seed: int, scenario: str = "nominal", script: tuple[PlannedMove, ...]
         true_t_s=truth.t_s,
         true_m=truth.displacement_m,
         moves=support.true_moves(),
+        to_sensor=support.to_sensor,
     )
+
+
+run_of = cache(make_run)  # for seeds that several tests share
 
 
 def _sensed(values: Floats, lsb: float) -> Floats:
