@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import lru_cache
+from itertools import pairwise
 from math import sqrt
 
 import numpy as np
@@ -13,6 +14,7 @@ from estimation.noise import hidden_covariance
 
 WINDOW = 256  # blocks
 DESIGN_BAND_HZ = (5.0, 60.0)  # assumed before anything has been measured
+BAND_EDGES_HZ = (1.5, 3.0, 5.0, 10.0, 20.0, 35.0)
 MEMORY_WINDOWS = 24.0
 DESIGN_WEIGHT = 1.5  # windows that the assumption counts for
 LEAST_SHARE = 2.0  # of the sensor noise's power: a weaker vibration has no shape worth knowing
@@ -54,6 +56,12 @@ class VibrationSpectrum:
             return design
         share = self.windows / (self.windows + DESIGN_WEIGHT)
         return np.asarray(share * vibration / total + (1.0 - share) * design)
+
+    def band_shares(self) -> list[float]:
+        """Shares of the power in a few bands; a step of the ram lies in the lower ones."""
+        shape = self.shape()
+        edges = [0, *(round(f_hz * self.dt_s * WINDOW) for f_hz in BAND_EDGES_HZ), len(shape)]
+        return [float(shape[low:high].sum()) for low, high in pairwise(min(e, len(shape)) for e in edges)]
 
     def lags(self, n: int) -> FloatArray:
         """Autocovariance (n,) of the block means of unit vibration, at lags of 0 to n - 1 blocks.

@@ -24,7 +24,7 @@ from estimation.kernels import (
     post_steps,
 )
 from estimation.noise import ACCEL_NOISE
-from estimation.spectrum import WHITE_SECOND_DIFFERENCE, WINDOW, VibrationSpectrum, design_lags
+from estimation.spectrum import WHITE_SECOND_DIFFERENCE, WINDOW, VibrationSpectrum
 
 HISTORY_S = 3.6  # how far back a decision may look
 OWN_RMS_TIME_S = 30.0
@@ -36,7 +36,7 @@ BRIDGE_FROM_S = 0.5
 UNDISTURBED_S = 1.5  # after an event: before, its own ringing would count as vibration
 
 LOOK_AFTER = 8.0  # windows
-OTHER_VIBRATION = 0.08  # difference of unit autocovariances that asks for other kernels
+OTHER_VIBRATION = 0.025  # share of the power in another band that asks for other kernels: little of it hides a step
 
 _KERNELS = np.arange(len(SPECS))
 
@@ -81,6 +81,7 @@ class VibrationNoise:
 
     spectrum: VibrationSpectrum
     lags: list[float] = field(default_factory=list)  # autocovariance in use; empty = as designed
+    band_shares: list[float] = field(default_factory=list)  # of the spectrum they come from
     gain: float = 0.0  # of the second difference, for those lags
     look_at: float = 1.0  # windows, when to look whether they still hold
     undisturbed: int = 0  # blocks since the last window was learned, or since a disturbance
@@ -98,10 +99,11 @@ class VibrationNoise:
         self.look_at = min(2.0 * self.spectrum.windows, self.spectrum.windows + LOOK_AFTER)
         dt_s = self.spectrum.dt_s
         n = longest_window(dt_s)
-        now = self.spectrum.lags(n)
-        in_use = np.array(self.lags) if self.lags else design_lags(dt_s, n)
-        if np.abs(now - in_use).max() > OTHER_VIBRATION:
-            self.lags, self.gain, self.banks = now.tolist(), self.spectrum.second_difference_gain(), None
+        now = self.spectrum.band_shares()
+        in_use = self.band_shares or VibrationSpectrum(dt_s).band_shares()
+        if max(abs(a - b) for a, b in zip(now, in_use, strict=True)) > OTHER_VIBRATION:
+            self.band_shares, self.lags = now, self.spectrum.lags(n).tolist()
+            self.gain, self.banks = self.spectrum.second_difference_gain(), None
 
     @property
     def measured(self) -> bool:

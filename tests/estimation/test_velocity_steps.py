@@ -78,7 +78,7 @@ def test_noise_that_no_kernel_foresees_makes_sigma_larger() -> None:
     rng = np.random.default_rng(4)
     velocity = step_of(np.array([0.05, 0.0, 0.0]), 40.0)
     t_s = BLOCK_S * np.arange(len(velocity))
-    swaying = velocity + 0.004 * np.column_stack([np.sin(np.pi * t_s), np.cos(np.pi * t_s), 0 * t_s])
+    swaying = velocity + 0.0045 * np.column_stack([np.sin(np.pi * t_s), np.cos(np.pi * t_s), 0 * t_s])
     still = np.zeros_like(velocity)
     (calm,) = velocity_steps(stretch_with(velocity, still, rng), np.zeros(3))
     (unsure,) = velocity_steps(stretch_with(swaying, still, rng), np.zeros(3))
