@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from daemon import terminal
-from daemon.offline.evaluation import MODES, evaluate, records_of, summarise, summarise_clock
+from daemon.offline.evaluation import MODES, Case, evaluate, records_of, summarise, summarise_clock
 from daemon.offline.replay import replay
 from daemon.recording.metadata import describe
 from daemon.recording.reader import Recording
@@ -49,7 +49,8 @@ def _speed(folder: Path) -> None:
     def row(what: str, cpu_s: float, samples: int) -> None:
         made.add_row(what, f"{cpu_s / samples * 1e6:.1f} µs", f"{samples / 819.2 / cpu_s:.0f}")
 
-    records = list(records_of(VirtualSupport(1, cycles=1), fused=True))
+    support = VirtualSupport(1, cycles=1)
+    records = list(records_of(support, support.observations()))
     samples = sum(1 for record in records if hasattr(record, "gyro"))
     Pipeline.prepare()
     pipeline = Pipeline(start=Start(0.0))
@@ -79,10 +80,10 @@ def _speed(folder: Path) -> None:
 
 
 def _accuracy() -> None:
-    results = evaluate("nominal", SEEDS, jobs=2)
+    results = evaluate([Case("nominal", seed, mode) for mode in MODES for seed in SEEDS], jobs=2)
     made = terminal.table(f"Accuracy, first cycle, {len(SEEDS)} seeds [mm]", "what", "median", "p95", "worst", "failed")
-    rows = {f"{mode} push": summarise([r for r in results if r.mode == mode], "push") for mode in MODES}
-    rows["clock push"] = summarise_clock([r for r in results if r.mode == MODES[0]], 0)
+    rows = {f"{mode} push": summarise([r for r in results if r.case.mode == mode], 0) for mode in MODES}
+    rows["clock push"] = summarise_clock([r for r in results if r.case.mode == MODES[0]], 0)
     for name, row in rows.items():
         made.add_row(name, *(f"{row[key]:.1f}" for key in ("median_mm", "p95_mm", "worst_mm")), str(row["failures"]))
     terminal.OUT.print(made)

@@ -137,8 +137,6 @@ def _print(path: Path, reviewed: Review, mount: MountReview | None) -> None:
     for event in reviewed.events:
         say(f"{event.t_ns * 1e-9:12.3f} s  {event.what}")
     terminal.print_moves(result.moves)
-    for line in () if mount is None else mount.lines():
-        say(line)
     for move in result.moves:
         row = _smoothed_row(reviewed.smoothed_moves.of(move))
         if row is not None:
@@ -146,9 +144,11 @@ def _print(path: Path, reviewed: Review, mount: MountReview | None) -> None:
     settled, smoothed = reviewed.reference.settled(), reviewed.reference.smoothed()
     if settled is None or smoothed is None:
         say("no reference sensor in it")
-        return
-    say(f"against the reference ({settled.readings} readings): {_errors_in_words(settled)}")
-    say(f"smoothed, against the same: {_errors_in_words(smoothed)}")
+    else:
+        say(f"against the reference ({settled.readings} readings): {_errors_in_words(settled)}")
+        say(f"smoothed, against the same: {_errors_in_words(smoothed)}")
+    for line in () if mount is None else mount.lines():
+        say(line)
 
 
 def _move_in_words(row: dict[str, float]) -> str:

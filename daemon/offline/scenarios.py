@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Any, Literal
 
-from drivers.virtual.motion import Scenario, Script, full_cycle
+from drivers.virtual.motion import Scenario, Script, TrueMove, full_cycle
 from drivers.virtual.scenarios import (
     FOREIGN,
     SCENARIOS,
@@ -32,9 +32,20 @@ class EvaluationScenario:
     about: str
     world: World = field(default_factory=World)
     script: Script = field(default_factory=full_cycle)
-    tampering: Tampering | None = None
+    tampering: Callable[[], Tampering] | None = None  # makes a new one for each support
     imu_on: Literal["both", "link", "base"] = "both"
-    clock_error: float | None = None
+    clock_error: float | None = None  # of the inertial sensor's sample rate; None = drawn
+    turned_deg: float = 0.0  # the sensor about the vertical
+    time_tolerance_s: float = 0.3  # an onset or stop farther off is a failure
+
+    def felt(self, move: TrueMove) -> bool:
+        """Whether the part that carries the inertial sensor takes part in that move."""
+        return self.imu_on == "both" or (self.imu_on == "link") == (move.speed_m_s > 0)
+
+
+def _always(tampering: Tampering) -> Callable[[], Tampering]:
+    """For what remembers nothing."""
+    return lambda: tampering
 
 
 def _dead(since_s: float, value_m: float) -> float | None:
@@ -67,12 +78,8 @@ def _lie(since_s: float, value_m: float) -> float:
     return 0.25 + 0.2 * math.sin(37.0 * since_s) if 12.0 <= since_s < 20.0 else value_m
 
 
-def _world(**changes: object) -> World:
-    return World(replace(Scenario(), **changes))  # type: ignore[arg-type]  # names of Scenario's own fields
-
-
-def _quick(script: Script, rest_s: float) -> Script:
-    return tuple(replace(move, rest_before_s=rest_s) for move in script)
+def _world(**changes: Any) -> World:
+    return World(Scenario(**changes))
 
 
 _ROUGH = _world(
@@ -94,17 +101,19 @@ SCENARIOS_OF_EVALUATION: dict[str, EvaluationScenario] = {
         "a noisy rest that reaches down to 2 Hz", _world(vibration_at_rest=1.0, vibration_band_hz=(2.0, 60.0))
     ),
     "rough_floor": EvaluationScenario("hard vibration, large tilts, a pump that falters", _ROUGH),
-    "weak_burst": EvaluationScenario("starts so soft that they take most of a second", _world(start=WEAK_START)),
+    "weak_burst": EvaluationScenario(
+        "soft starts, of most of a second", _world(start=WEAK_START), time_tolerance_s=0.5
+    ),
     "temperature": EvaluationScenario("8 degrees warmer at the end", _world(temperature_rise_c=8.0)),
     "creep": EvaluationScenario("a leaking valve: up to 0.1 mm/s at rest", _world(creep_m_s=1e-4)),
-    "mount_off_3": EvaluationScenario("push axis 3 degrees off", World()),
+    "mount_off_3": EvaluationScenario("the sensor turned by 3 degrees about the vertical", turned_deg=3.0),
     "clock_off_2": EvaluationScenario("the sensor samples 2 % too slowly", clock_error=-0.02),
     "can_late": EvaluationScenario("readings 30 ms old", World(sensor=replace(World().sensor, latency_s=(0.03, 0.03)))),
-    "can_dead": EvaluationScenario("no reading after 12 s of the push", tampering=_dead),
-    "can_stuck": EvaluationScenario("the reading stands from 15 to 27 s of the push", tampering=_Stuck()),
-    "can_jump": EvaluationScenario("the reading jumps by 30 mm after 15 s of the push, for good", tampering=_jump),
-    "can_drift": EvaluationScenario("the reading runs away by 15 mm/s for 4 s in the push", tampering=_drift),
-    "can_lies": EvaluationScenario("nonsense from 12 to 20 s of the push, marked as valid", tampering=_lie),
+    "can_dead": EvaluationScenario("no reading after 12 s of the push", tampering=_always(_dead)),
+    "can_stuck": EvaluationScenario("the reading stands from 15 to 27 s of the push", tampering=_Stuck),
+    "can_jump": EvaluationScenario("30 mm more from 15 s of the push on", tampering=_always(_jump)),
+    "can_drift": EvaluationScenario("the reading runs away by 15 mm/s for 4 s in the push", tampering=_always(_drift)),
+    "can_lies": EvaluationScenario("nonsense from 12 to 20 s of the push, marked as valid", tampering=_always(_lie)),
     "retract_not_felt": EvaluationScenario(
         "the sensor sits on the link, which stands while the support advances", _world(felt="push"), imu_on="link"
     ),

@@ -173,15 +173,17 @@ class _Cycles:
         self._lock = threading.Lock()
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="virtual-motion")
         self._futures: dict[int, Future[PlacedTrajectory]] = {}
+        self._submitted = 0
 
     def get(self, number: int) -> PlacedTrajectory | None:
         """Trajectory `number`, None beyond the last; remembers the last three of an endless run."""
         if self._count is not None and number >= self._count:
             return None
         with self._lock:
-            for wanted in (number, number + 1):
-                if wanted not in self._futures and (self._count is None or wanted < self._count):
-                    self._futures[wanted] = self._worker.submit(self._make)
+            end = number + 2 if self._count is None else min(number + 2, self._count)
+            while self._submitted < end:  # in order: each goes on where the last one ended
+                self._futures[self._submitted] = self._worker.submit(self._make)
+                self._submitted += 1
             if self._count is None:
                 self._futures.pop(number - 3, None)
             future = self._futures[number]

@@ -62,7 +62,7 @@ def test_review_in_words_names_every_part(capsys: pytest.CaptureFixture[str]) ->
         "silent",
         "start proposed (push)",
         "push",
-        "push at 6.03 s, smoothed: 0.0 ± 0.5 to ",
+        "push at 6.00 s, smoothed: 0.0 ± 0.5 to ",
         "mm from settled at most",
         "against the reference",
         "smoothed, against the same",
