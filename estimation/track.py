@@ -68,7 +68,7 @@ class Track:
     filter: Filter
     pushes_learned: int = 0  # confirmed strokes that told the usual speed
     retracts_learned: int = 0
-    remembered: Gaussian | None = None  # what had been learned when the move began
+    remembered: Gaussian | None = None  # what had been learned when the present move began
     orientation: Quaternion = IDENTITY
     gravity_m_s2: float = 0.0  # as felt at rest; 0 until the first sample
     gyro_bias: Vector = (0.0, 0.0, 0.0)
@@ -104,6 +104,11 @@ class Track:
             chart=replace(self.chart),
             ending=None if self.ending is None else replace(self.ending),
         )
+
+    @property
+    def learned(self) -> Gaussian:
+        """What outlasts a move; of a move that is not over yet nothing is in it, for it may prove doubtful."""
+        return self.filter.state.block(LEARNED) if self.remembered is None else self.remembered
 
     def usual_speed(self, direction: int) -> float:
         """Usual speed of a direction [m/s], positive."""
@@ -197,6 +202,7 @@ class Track:
             self.readings_in_move = 0
             self.filter.begin_free()
         elif phase is Phase.REST and self.phase is Phase.FREE:
+            self.remembered = None
             # Constant speed feels like rest: the ram may have gone on unnoticed, and may do so still.
             if self.lost_in_move and self.readings_in_move < READINGS_FOR_EVIDENCE:
                 self.filter.lose_place()
@@ -234,16 +240,19 @@ class Track:
         before_m, sigma_before_m = state.x[P], state.sigma(P)
         if max(-before_m, before_m - self.filter.stroke_m) > BEYOND_M + BEYOND_SIGMAS * sigma_before_m:
             self.filter.lose_place()  # no ram goes there: a move before was missed, or was none
+        certain = motion is not None and motion.stop_confirmed
         doubtful = self.nis > HEALTHY_NIS or self.rejected_in_move >= DOUBTFUL_READINGS
         stop_m = self._stop_reached(before_m, sigma_before_m) if settings.stop_constraint else None
         if stop_m is not None:
             self.filter.at_stop(stop_m, settings.stop_sigma_mm / 1e3)
-            if not doubtful:
+            if certain and not doubtful:
                 self.pushes_learned += self.direction > 0
                 self.retracts_learned += self.direction < 0
         self.ending = Ending(self.start_m, before_m, sigma_before_m, state.x[P], state.sigma(P), state.x[SPEED])
         if doubtful and self.remembered is not None:
             self.filter.state.set_block(LEARNED, self.remembered)
+        if certain:
+            self.remembered = None
 
     def _stop_reached(self, p_m: float, sigma_m: float) -> float | None:
         """The mechanical stop that the move ended at, if there is evidence for it.

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from daemon.recording import topics
-from daemon.recording.metadata import LEARNED, SNAPSHOT, describe
+from daemon.recording.metadata import describe
 from daemon.recording.topics import Recorded
 from daemon.recording.writer import RecordingWriter
 from daemon.settings import Settings
@@ -79,8 +79,7 @@ def run_demo(
 
     run = SimulatedRun.of(settings, support, clock, faults)
     with SimulatedStream(settings, run, clock, receive) as simulated:
-        snapshot = simulated.stream.snapshot()
-        with RecordingWriter(recording, metadata, {SNAPSHOT: snapshot, LEARNED: b"{}"}) as writer:
+        with RecordingWriter(recording, metadata, simulated.stream.attachments()) as writer:
             written.append(writer)
             simulated.play(lambda now_ns: progress(min(now_ns / duration_ns, 1.0)))
     return result
