@@ -194,7 +194,7 @@ class Learned(_Frozen):
         """Whether it holds for `machine`. Raises ValueError with the reason if not."""
         difference = self.machine.difference(machine)
         if difference is not None:
-            raise ValueError(f"it was learned on another machine: {difference}")
+            raise ValueError(f"learned on another machine ({difference})")
         for i, (name, mean) in enumerate(zip(self.names, self.mean, strict=True)):
             if abs(mean - prior.x[i]) > IMPOSSIBLE_SIGMAS * prior.sigma(i):
                 raise ValueError(f"its {name} of {mean:g} cannot have been learned from {prior.x[i]:g}")

@@ -62,8 +62,8 @@ def replay_to(
             for sink in sinks:
                 sink(topic, record)
 
-        if end_state is not None:
-            refuse_same_file(source, end_state)
+        if end_state is not None and end_state.exists() and end_state.samefile(source):
+            raise StateFileError(f"{end_state} is the file to read from: name another file for the state")
         result = replay(source, settings, receive, progress, state)
         if end_state is not None:
             _save_state(end_state, source, result)

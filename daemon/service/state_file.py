@@ -130,8 +130,11 @@ def save(path: Path, saved: SavedState) -> None:
     """Replace the file: a power cut leaves the old or the new one, never half of one. Raises OSError."""
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f".{path.name}.part")
-    with part.open("w") as stream:
-        json.dump(saved.model_dump(), stream)
-        stream.flush()
-        os.fsync(stream.fileno())
-    part.replace(path)
+    try:
+        with part.open("w") as stream:
+            json.dump(saved.model_dump(), stream)
+            stream.flush()
+            os.fsync(stream.fileno())
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)

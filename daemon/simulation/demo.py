@@ -78,10 +78,12 @@ def run_demo(
         _collect(result, topic, record)
 
     run = SimulatedRun.of(settings, support, clock, faults)
-    with SimulatedStream(settings, run, clock, receive) as simulated:
-        with RecordingWriter(recording, metadata, simulated.stream.attachments()) as writer:
-            written.append(writer)
-            simulated.play(lambda now_ns: progress(min(now_ns / duration_ns, 1.0)))
+    with (
+        SimulatedStream(settings, run, clock, receive) as simulated,
+        RecordingWriter(recording, metadata, simulated.stream.attachments()) as writer,
+    ):
+        written.append(writer)
+        simulated.play(lambda now_ns: progress(min(now_ns / duration_ns, 1.0)))
     return result
 
 
