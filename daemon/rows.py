@@ -1,10 +1,11 @@
-"""Estimates and moves in the words and units that leave the program."""
+"""Estimates, moves and what was learned in the words and units that leave the program."""
 
 from __future__ import annotations
 
 import math
 from typing import Any
 
+from estimation.learned import Flow, Learned
 from estimation.records import Estimate, Move
 
 
@@ -36,6 +37,50 @@ def move_row(move: Move) -> dict[str, Any]:
         "can_state": str(move.can_state),
         "tier": str(move.tier),
     }
+
+
+def learned_row(learned: Learned | None) -> dict[str, Any] | None:
+    """What outlasts a run; None if nothing was learned yet."""
+    if learned is None:
+        return None
+    sensor: dict[str, Any] = {}
+    for name, unit, factor in (
+        ("scale", "percent", 1e2),
+        ("offset", "mm", 1e3),
+        ("bow", "mm", 1e3),
+        ("latency", "ms", 1e3),
+    ):
+        mean, sigma = learned.value(name)
+        sensor |= {f"{name}_{unit}": round(mean * factor, 4), f"{name}_sigma_{unit}": round(sigma * factor, 4)}
+    return {
+        "push": _flow_row(learned.push),
+        "retract": _flow_row(learned.retract),
+        "sensor": sensor | {"noise_mm": round(learned.noise_m * 1e3, 4), "calibrations": learned.calibrations},
+    }
+
+
+def _flow_row(flow: Flow) -> dict[str, Any]:
+    return {
+        "speed_mm_s": round(flow.speed_m_s * 1e3, 4),
+        "sigma_mm_s": round(flow.sigma_m_s * 1e3, 4),
+        "moves": flow.moves,
+    }
+
+
+def learned_words(row: dict[str, Any] | None) -> str:
+    """`learned_row` as people read it."""
+    if row is None:
+        return "nothing learned yet"
+    words = [
+        f"{name} {row[name]['speed_mm_s']:.2f} ± {row[name]['sigma_mm_s']:.2f} mm/s "
+        f"(from {row[name]['moves']} {'move' if row[name]['moves'] == 1 else 'moves'})"
+        for name in ("push", "retract")
+    ]
+    sensor = row["sensor"]
+    for name, unit, sign in (("scale", "percent", "%"), ("offset", "mm", "mm"), ("bow", "mm", "mm")):
+        words.append(f"{name} {sensor[f'{name}_{unit}']:+.1f} ± {sensor[f'{name}_sigma_{unit}']:.1f} {sign}")
+    words[2] = f"sensor {words[2]}"
+    return ", ".join(words)
 
 
 def finite(value: Any) -> Any:

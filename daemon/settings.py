@@ -22,7 +22,8 @@ class ServiceSettings(_Section):
 
     socket: Path = Field(Path("/run/ramstroke/live.sock"), description="Unix socket that `status` and viewers read")
     state_file: Path = Field(
-        Path("/var/lib/ramstroke/state.json"), description="where the stroke is remembered over a restart"
+        Path("/var/lib/ramstroke/state.json"),
+        description="where the stroke, and what was learned of support and displacement sensor, outlast a restart",
     )
 
 

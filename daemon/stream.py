@@ -6,13 +6,16 @@ import json
 from collections.abc import Callable
 from dataclasses import asdict
 
+from daemon.machine import machine_of
 from daemon.recording import topics
+from daemon.recording.metadata import LEARNED, SNAPSHOT
 from daemon.recording.topics import Recorded, RecordedDisplacement
 from daemon.settings import Settings
 from drivers.adis16448.burst import Burst, BurstDecoder, Fault
 from drivers.adis16448.identity import Identity
 from drivers.can.displacement import build_decoders
 from drivers.can.frame import Frame
+from estimation.learned import Learned
 from estimation.pipeline import Pipeline, Start
 from estimation.records import Displacement, Estimate, ImuSample, Move, Output, Record, SensorChange, Tick, Tier
 
@@ -44,14 +47,19 @@ class Stream:
     Args:
         settings: of the program.
         sink: called with topic and record, inputs first, then what they brought about.
-        start: what is known of the stroke beforehand.
+        start: what is known beforehand.
 
     Raises:
         CanConfigError: the CAN settings do not fit their DBC files.
+        ValueError: what was learned belongs to another machine.
     """
 
     def __init__(self, settings: Settings, sink: Sink, start: Start | None = None) -> None:
+        self.settings = settings
         self._sink = sink
+        self._machine = machine_of(settings)
+        if start is not None and start.learned is not None:
+            self._machine = self._machine.named_as(start.learned.machine)
         self._imu = BurstDecoder(settings.imu.gyro_range_dps)
         observed, reference = build_decoders(settings.can) if settings.can.enabled else (None, None)
         self.decoders = [decoder for decoder in (observed, reference) if decoder is not None]
@@ -95,6 +103,16 @@ class Stream:
     def finish(self) -> None:
         """End of the data: let the estimator settle what is open."""
         self._emit(self.pipeline.finish())
+
+    def learned(self) -> Learned | None:
+        """What another run may begin with; None if nothing was learned yet."""
+        part = "" if self.identity is None else self.identity.name
+        return self.pipeline.learned(self._machine.model_copy(update={"inertial_part": part}).named_as(self._machine))
+
+    def attachments(self) -> dict[str, bytes]:
+        """The present state, as it stands at the head of a recording that begins now."""
+        learned = self.learned()
+        return {SNAPSHOT: self.snapshot(), LEARNED: b"{}" if learned is None else learned.model_dump_json().encode()}
 
     def snapshot(self) -> bytes:
         """State of everything that remembers, as JSON."""

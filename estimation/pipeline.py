@@ -15,6 +15,7 @@ from estimation.blocks import GAP_PERIODS, SAMPLES_PER_STEP, BlockCutter
 from estimation.burst import prepare as prepare_bursts
 from estimation.displacement_sensor import STUCK_READINGS
 from estimation.kernels import Kernel
+from estimation.learned import Learned, Machine
 from estimation.mount import Mount
 from estimation.mskf import SPEED, P, V
 from estimation.orientation import matrix
@@ -97,6 +98,18 @@ class Pipeline:
     def restore(self, snapshot: bytes) -> None:
         """Continue from a snapshot. Raises pydantic.ValidationError on foreign or damaged bytes."""
         self.state = PipelineState.load(snapshot)
+
+    def learned(self, machine: Machine | None = None) -> Learned | None:
+        """What another run on the same machine may begin with, out of the settled track; None if there is nothing yet.
+
+        machine: the support with the names of its sensors, if they are known.
+        """
+        return self.state.learned(machine or Machine.of(self._support))
+
+    @property
+    def strokes_learned(self) -> int:
+        """How many confirmed strokes are in `learned`."""
+        return self.state.strokes_learned
 
     # --- the stream -------------------------------------------------------------------------------------------
 

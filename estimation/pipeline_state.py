@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from math import sqrt
 from typing import ClassVar
@@ -13,7 +13,8 @@ from pydantic import ConfigDict, TypeAdapter
 from estimation.belief import Belief
 from estimation.blocks import BlockCutter
 from estimation.displacement_sensor import DisplacementSensor, Reading
-from estimation.mskf import Filter
+from estimation.learned import Learned, Machine, prior_of
+from estimation.mskf import LEARNED, Filter
 from estimation.records import CanState
 from estimation.segments import SegmentRecogniser
 from estimation.settings import EstimatorSettings, SupportSettings
@@ -27,7 +28,7 @@ KNOWN_START_SIGMA_M = 0.0005
 
 @dataclass(slots=True, frozen=True)
 class Start:
-    """What is known of the stroke before the first record; None = undetermined.
+    """What is known before the first record: of the stroke (None = undetermined), and what an earlier run learned.
 
     `only_without_sensor`: believe it only if no displacement reading comes within the first seconds. A saved
     stroke may be wrong if the ram moved while nobody watched; the sensor then knows better.
@@ -36,6 +37,7 @@ class Start:
     displacement_m: float | None = None
     sigma_m: float = KNOWN_START_SIGMA_M
     only_without_sensor: bool = False
+    learned: Learned | None = None
 
 
 @dataclass(slots=True)
@@ -74,7 +76,7 @@ class PipelineState:
     def begin(
         cls, support: SupportSettings, settings: EstimatorSettings, start: Start, timeout_s: float
     ) -> PipelineState:
-        """Before the first record."""
+        """Before the first record. Raises ValueError if what was learned does not belong to this support."""
         stroke_m = support.stroke_mm / 1e3
         believed = Start() if start.only_without_sensor else start
         known = believed.displacement_m is not None
@@ -86,12 +88,35 @@ class PipelineState:
                 settings=settings,
             )
         )
+        sensor = DisplacementSensor((settings.can_noise_mm / 1e3) ** 2, stroke_m, timeout_s)
+        learned = start.learned
+        if learned is not None:
+            learned.check(Machine.of(support), prior_of(support, settings))
+            track.filter.state.set_block(LEARNED, learned.states)
+            track.pushes_learned, track.retracts_learned = learned.pushes, learned.retracts
+            sensor.noise_m2 = learned.noise_m**2
         return cls(
             settled=track,
             head=track.copy(),
-            sensor=DisplacementSensor((settings.can_noise_mm / 1e3) ** 2, stroke_m, timeout_s),
-            waiting_start=start if start.only_without_sensor else None,
+            sensor=sensor,
+            waiting_start=replace(start, learned=None) if start.only_without_sensor else None,
         )
+
+    @property
+    def strokes_learned(self) -> int:
+        """How many confirmed strokes taught something that no decision can change any more."""
+        return self.settled.pushes_learned + self.settled.retracts_learned
+
+    def learned(self, machine: Machine) -> Learned | None:
+        """What an estimator of the same machine may begin with; None before the first confirmed stroke.
+
+        Without one, scale and speed cannot be told apart: there is nothing yet that is worth keeping.
+        """
+        if self.strokes_learned == 0:
+            return None
+        track = self.settled
+        noise_m = sqrt(self.sensor.noise_m2)
+        return Learned.of(machine, track.learned, track.pushes_learned, track.retracts_learned, noise_m)
 
     def dump(self) -> bytes:
         """As JSON; floats survive exactly."""

@@ -69,7 +69,7 @@ class Track:
     filter: Filter
     pushes_learned: int = 0  # confirmed strokes that told the usual speed
     retracts_learned: int = 0
-    remembered: Gaussian | None = None  # what had been learned when the move began
+    remembered: Gaussian | None = None  # what had been learned when the present move began
     orientation: Quaternion = IDENTITY
     gravity_m_s2: float = 0.0  # as felt at rest; 0 until the first sample
     gyro_bias: Vector = (0.0, 0.0, 0.0)
@@ -81,7 +81,8 @@ class Track:
     direction: int = 1
     start_m: float = 0.0
     speed_checks: int = 0
-    nis: float = 1.0
+    nis: float = 1.0  # running mean over the readings of a move
+    worst_nis: float = 1.0  # its largest in the present move
     readings_in_move: int = 0  # or in the unexplained time
     rejected_in_move: int = 0
     stray_m: float = 0.0  # mean innovation at rest: does the ram creep?
@@ -89,6 +90,7 @@ class Track:
     ending: Ending | None = None
     last_motion: Motion | None = None
     judge_end_ns: int | None = None  # when the end of the last move is due to be judged
+    end_certain: bool = False  # its stop has been confirmed
     acceleration_m_s2: float = 0.0
     innovation_m: float = float("nan")
     gate_m: float = float("nan")
@@ -106,6 +108,11 @@ class Track:
             chart=replace(self.chart),
             ending=None if self.ending is None else replace(self.ending),
         )
+
+    @property
+    def learned(self) -> Gaussian:
+        """What outlasts a move; of a move that is not over yet nothing is in it, for it may prove doubtful."""
+        return self.filter.state.block(LEARNED) if self.remembered is None else self.remembered
 
     def usual_speed(self, direction: int) -> float:
         """Usual speed of a direction [m/s], positive."""
@@ -203,6 +210,7 @@ class Track:
             self.readings_in_move = 0
             self.filter.begin_free()
         elif phase is Phase.REST and self.phase in (Phase.FREE, Phase.UNFELT):
+            self.remembered = None
             # Constant speed feels like rest: the ram may have gone on unnoticed, and may do so still.
             if self.lost_in_move and self.readings_in_move < READINGS_FOR_EVIDENCE:
                 self.filter.lose_place()
@@ -217,7 +225,7 @@ class Track:
         if motion.resumes_ns is None or self.ending is None:
             self.start_m = self.filter.state.x[P]
         self.speed_checks = 0
-        self.nis, self.readings_in_move, self.rejected_in_move = 1.0, 0, 0
+        self.nis, self.worst_nis, self.readings_in_move, self.rejected_in_move = 1.0, 1.0, 0, 0
         self.remembered = self.filter.state.block(LEARNED)
         self.filter.begin_move(motion.direction, settings.speed_sigma_cycle)
         late_s = (step.t_ns - motion.onset_ns) * 1e-9
@@ -236,6 +244,7 @@ class Track:
         if motion is not None and motion.stop_burst is not None:
             self.filter.hear_burst(-motion.stop_burst.step_m_s, motion.stop_burst.sigma_m_s)
         self.filter.stopped(step.vibration_m_s2)
+        self.end_certain = motion is not None and motion.stop_confirmed
         self.judge_end_ns = step.t_ns + round((END_JUDGED_S - STOP_BURST_S) * 1e9)
 
     def judge_end(self, settings: EstimatorSettings) -> None:
@@ -245,16 +254,18 @@ class Track:
         before_m, sigma_before_m = state.x[P], state.sigma(P)
         if max(-before_m, before_m - self.filter.stroke_m) > BEYOND_M + BEYOND_SIGMAS * sigma_before_m:
             self.filter.lose_place()  # no ram goes there: a move before was missed, or was none
-        doubtful = self.nis > HEALTHY_NIS or self.rejected_in_move >= DOUBTFUL_READINGS
+        doubtful = self.worst_nis > HEALTHY_NIS or self.rejected_in_move >= DOUBTFUL_READINGS
         stop_m = self._stop_reached(before_m, sigma_before_m) if settings.stop_constraint else None
         if stop_m is not None:
             self.filter.at_stop(stop_m, settings.stop_sigma_mm / 1e3)
-            if not doubtful:
+            if self.end_certain and not doubtful:
                 self.pushes_learned += self.direction > 0
                 self.retracts_learned += self.direction < 0
         self.ending = Ending(self.start_m, before_m, sigma_before_m, state.x[P], state.sigma(P), state.x[SPEED])
         if doubtful and self.remembered is not None:
             self.filter.state.set_block(LEARNED, self.remembered)
+        if self.end_certain:
+            self.remembered = None
 
     def _stop_reached(self, p_m: float, sigma_m: float) -> float | None:
         """The mechanical stop that the move ended at, if there is evidence for it.
@@ -276,6 +287,7 @@ class Track:
         accepted = abs(self.innovation_m) <= self.gate_m
         nis = min(self.innovation_m**2 / variance, GATE_SIGMAS**2)
         self.nis += 0.05 * (nis - self.nis)
+        self.worst_nis = max(self.worst_nis, self.nis)
         if accepted and reading.trusted:
             self.readings_in_move += 1
             self.filter.state.measure(row, self.innovation_m, reading.variance_m2)

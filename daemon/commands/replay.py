@@ -16,6 +16,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.add_argument("file", type=Path, help="the recording")
     parser.add_argument("--config", type=Path, help="settings to use instead of the file's own")
+    parser.add_argument(
+        "--state", type=Path, help="start from this state file; the recorded estimates are then not compared"
+    )
+    parser.add_argument("--save-state", type=Path, help="write the state at the end to this file")
     parser.add_argument("-o", "--output", type=Path, help="write inputs and new estimates to this recording")
     parser.add_argument("--csv", type=Path, help="write one row per step to this table")
     parser.add_argument("--provisional", action="store_true", help="in the table: provisional values, not settled ones")
@@ -27,6 +31,7 @@ def run(arguments: argparse.Namespace) -> int:
     from daemon import terminal
     from daemon.configuration import load
     from daemon.offline.replay_outputs import replay_to
+    from daemon.rows import learned_row, learned_words
 
     settings = load(arguments.config) if arguments.config else None
     with terminal.progress("messages") as progress:
@@ -36,8 +41,11 @@ def run(arguments: argparse.Namespace) -> int:
             output=arguments.output,
             table=arguments.csv,
             provisional=arguments.provisional,
+            state=arguments.state,
+            end_state=arguments.save_state,
             progress=progress,
         )
+    learned = learned_row(result.learned)
     for sentence in result.damage:
         terminal.ERR.print(f"{arguments.file}: {sentence}", highlight=False, markup=False)
     if arguments.json:
@@ -49,14 +57,18 @@ def run(arguments: argparse.Namespace) -> int:
                 "realtime_factor": result.realtime_factor,
                 "identical": result.identical,
                 "moves": [terminal.move_row(move) for move in result.moves],
+                "learned": learned,
                 "damage": result.damage,
             }
         )
         return 0
     same = {True: "reproduced bit for bit", False: "NOT reproduced", None: "none recorded"}[result.identical]
+    if arguments.state is not None:
+        same = "not compared"
     terminal.say(
         f"{result.samples} samples, {result.duration_s:.1f} s, {result.realtime_factor:.0f} × real time; "
         f"recorded estimates: {same}"
     )
     terminal.print_moves(result.moves)
+    terminal.say(f"learned: {learned_words(learned)}")
     return 0

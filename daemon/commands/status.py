@@ -24,6 +24,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     from daemon import terminal
     from daemon.configuration import load
+    from daemon.rows import learned_words
     from daemon.service.health import UNDETERMINED_SHARE
     from daemon.service.live_client import first_line
     from daemon.settings import Settings
@@ -48,6 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
     made.add_row("stroke", stroke)
     for part in PARTS:
         made.add_row(part, escape(_state(status[part], status["t_s"])), escape(_counters(status[part])))
+    made.add_row("learned", learned_words(status["learned"]))
     live = status["live"]
     made.add_row("viewers", f"{live['viewers']} connected", f"lines dropped {live['dropped']}")
     terminal.OUT.print(made)

@@ -6,15 +6,20 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from datetime import datetime
 from pathlib import Path
 
+from daemon.machine import machine_of
 from daemon.recording import topics
 from daemon.recording.errors import RecordingError
-from daemon.recording.metadata import SNAPSHOT
+from daemon.recording.metadata import LEARNED, SNAPSHOT
 from daemon.recording.reader import Recording
 from daemon.recording.topics import TOPICS, Recorded, RecordedDisplacement
+from daemon.service import state_file
+from daemon.service.state_file import SavedState, StateFileError
 from daemon.settings import Settings
 from daemon.stream import INPUTS, Sink, Stream
+from estimation.learned import Learned, prior_of
 from estimation.pipeline import Start
 from estimation.records import Estimate, Move
 from estimation.settled_smoother import SettledSmoother, SmoothedStep
@@ -30,8 +35,10 @@ class ReplayResult:
     bad_bursts: int
     duration_s: float
     elapsed_s: float
-    identical: bool | None  # recorded estimates reproduced bit for bit; None = the file holds none
+    identical: bool | None  # recorded estimates reproduced bit for bit; None = there are none to compare with
     moves: list[Move]
+    learned: Learned | None
+    end: SavedState | None  # what a restart would find; None without an estimate
     damage: list[str]
 
     @property
@@ -84,19 +91,22 @@ def replay(
     sink: Sink | None = None,
     progress: Callable[[int], None] | None = None,
     smoothed: Callable[[SmoothedStep], None] | None = None,
+    state: Path | None = None,
 ) -> ReplayResult:
     """Feed what was received through a fresh pipeline.
 
     Args:
         path: the recording.
-        settings: instead of the file's own; then the file's snapshot is not used either.
+        settings: instead of the file's own; then nothing else that the file says of its start is used either.
         sink: gets every input and output.
         progress: called now and then with the number of messages read.
         smoothed: gets every settled step with what all that follows says of it, minutes behind `sink`.
+        state: start from this state file, as the daemon would; then the recorded estimates are not compared.
 
     Raises:
         RecordingError: the recording cannot be used.
         CanConfigError: its CAN settings do not fit their DBC files.
+        StateFileError: the state file cannot be used.
     """
     recording = Recording(path)
     moves: list[Move] = []
@@ -113,13 +123,13 @@ def replay(
         if sink is not None:
             sink(topic, record)
 
-    stream = _stream_for(recording, settings, receive)
+    stream = stream_at_start(recording, settings, receive, state)
     smoother = None if smoothed is None else SettledSmoother(stream.pipeline, smoothed)
     first_ns = last_ns = None
     count = 0
     stream.pipeline.prepare()
     began = time.perf_counter()
-    for topic, record in recording.messages((*INPUTS, *_COMPARED)):
+    for topic, record in recording.messages((*INPUTS, *_COMPARED) if state is None else INPUTS):
         count += 1
         if isinstance(record, Estimate):
             comparison = comparisons[topic]
@@ -137,26 +147,34 @@ def replay(
         smoother.finish()
     elapsed_s = time.perf_counter() - began
     has_estimates = any(c.compared or c.recorded for c in comparisons.values())
+    duration_s = 0.0 if first_ns is None or last_ns is None else (last_ns - first_ns) * 1e-9
     return ReplayResult(
         samples=stream.samples,
         bad_bursts=stream.bad_bursts,
-        duration_s=0.0 if first_ns is None or last_ns is None else (last_ns - first_ns) * 1e-9,
+        duration_s=duration_s,
         elapsed_s=elapsed_s,
         identical=all(c.identical for c in comparisons.values()) if has_estimates else None,
         moves=moves,
+        learned=stream.learned(),
+        end=_end(stream, _began_s(recording) + duration_s),
         damage=recording.damage,
     )
 
 
-def _stream_for(recording: Recording, settings: Settings | None, sink: Sink) -> Stream:
-    """The stream in the state that the recording started with."""
+def stream_at_start(recording: Recording, settings: Settings | None, sink: Sink, state: Path | None = None) -> Stream:
+    """The stream in the state that the replay starts from; arguments and errors as for `replay`."""
     own = settings is None
     settings = settings_of(recording) if settings is None else settings
+    snapshot = recording.attachments.get(SNAPSHOT) if own and state is None else None
+    start = Start()
+    if state is not None:
+        start = _saved_start(recording, settings, state)
+    elif own and snapshot is None:
+        start = Start(learned=_recorded_learned(recording, settings))
     if recording.metadata.get("kind") == "import":
-        return Stream(settings, sink, Start((settings.support.initial_mm or 0.0) / 1e3))
-    stream = Stream(settings, sink)
-    snapshot = recording.attachments.get(SNAPSHOT)
-    if own and snapshot is not None:
+        start = Start((settings.support.initial_mm or 0.0) / 1e3, learned=start.learned)
+    stream = Stream(settings, sink, start)
+    if snapshot is not None:
         try:
             stream.restore(snapshot)
         except ValueError as error:
@@ -164,3 +182,40 @@ def _stream_for(recording: Recording, settings: Settings | None, sink: Sink) -> 
                 f"{recording.path}: its snapshot is damaged or of another version: name --config FILE to start afresh"
             ) from error
     return stream
+
+
+def _saved_start(recording: Recording, settings: Settings, path: Path) -> Start:
+    """What the state file is worth when the recording begins; one that is saved later is of now."""
+    try:
+        saved = state_file.read(path, settings)
+    except FileNotFoundError as error:
+        raise StateFileError(f"{path} does not exist: name a state file, or write one with --save-state") from error
+    return saved.start(settings, max(saved.wall_time_s, _began_s(recording)))
+
+
+def _recorded_learned(recording: Recording, settings: Settings) -> Learned | None:
+    """What the estimator had learned when the recording began."""
+    text = recording.attachments.get(LEARNED, b"{}")
+    if text.strip() == b"{}":
+        return None
+    try:
+        learned = Learned.model_validate_json(text)
+        learned.check(machine_of(settings), prior_of(settings.support, settings.estimator))
+    except ValueError as error:
+        raise RecordingError(
+            f"{recording.path}: its learned state is damaged or of another version: name --config FILE to start afresh"
+        ) from error
+    return learned
+
+
+def _began_s(recording: Recording) -> float:
+    """Wall clock at the start of the recording; 0 if it does not say."""
+    try:
+        return max(datetime.fromisoformat(recording.metadata["created"]).timestamp(), 0.0)
+    except (KeyError, ValueError, OverflowError):
+        return 0.0
+
+
+def _end(stream: Stream, wall_time_s: float) -> SavedState | None:
+    stroke_mm = stream.settings.support.stroke_mm
+    return None if stream.last is None else SavedState.of(stream.last, stream.learned(), stroke_mm, wall_time_s)

@@ -6,14 +6,15 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-from daemon.offline.replay import ReplayResult, replay
+from daemon.offline.replay import ReplayResult, replay, stream_at_start
 from daemon.offline.step_table import COLUMNS, cells, step_table
 from daemon.recording import topics
 from daemon.recording.errors import refuse_same_file
-from daemon.recording.metadata import LEARNED, SNAPSHOT
 from daemon.recording.reader import Recording
 from daemon.recording.topics import Recorded
 from daemon.recording.writer import RecordingWriter
+from daemon.service import state_file
+from daemon.service.state_file import StateFileError
 from daemon.settings import Settings
 from daemon.stream import Sink
 from estimation.records import Estimate
@@ -26,13 +27,20 @@ def replay_to(
     output: Path | None = None,
     table: Path | None = None,
     provisional: bool = False,
+    state: Path | None = None,
+    end_state: Path | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> ReplayResult:
-    """Replay `source` and write what was asked for, each file whole or not at all. Raises RecordingError."""
+    """Replay `source` and write what was asked for, each file whole or not at all.
+
+    state, end_state: state files to start from and to write at the end; may be the same.
+
+    Raises RecordingError or StateFileError.
+    """
     sinks: list[Sink] = []
     with ExitStack() as stack:
         if output is not None:
-            sinks.append(stack.enter_context(_recording_sink(source, output, settings)))
+            sinks.append(stack.enter_context(_recording_sink(source, output, settings, state)))
         if table is not None:
             refuse_same_file(source, table)
             wanted = topics.PROVISIONAL if provisional else topics.SETTLED
@@ -42,19 +50,31 @@ def replay_to(
             for sink in sinks:
                 sink(topic, record)
 
-        return replay(source, settings, receive, progress)
+        if end_state is not None and end_state.exists() and end_state.samefile(source):
+            raise StateFileError(f"{end_state} is the file to read from: name another file for the state")
+        result = replay(source, settings, receive, progress, state=state)
+        if end_state is not None:
+            _save_state(end_state, source, result)
+        return result
+
+
+def _save_state(path: Path, source: Path, result: ReplayResult) -> None:
+    if result.end is None:
+        raise StateFileError(f"{source} brings about no estimate: there is no state to save in {path}")
+    try:
+        state_file.save(path, result.end)
+    except OSError as error:
+        raise StateFileError(f"cannot write {path}: {error.strerror or error}") from error
 
 
 @contextmanager
-def _recording_sink(source: Path, output: Path, settings: Settings | None) -> Iterator[Sink]:
+def _recording_sink(source: Path, output: Path, settings: Settings | None, state: Path | None) -> Iterator[Sink]:
     refuse_same_file(source, output)
     recording = Recording(source)
     metadata = dict(recording.metadata)
-    attachments = {LEARNED: recording.attachments.get(LEARNED, b"{}")}
     if settings is not None:
         metadata["settings"] = settings.model_dump_json()
-    elif SNAPSHOT in recording.attachments:
-        attachments[SNAPSHOT] = recording.attachments[SNAPSHOT]
+    attachments = stream_at_start(recording, settings, lambda _topic, _record: None, state).attachments()
     with RecordingWriter(output, metadata, attachments) as writer:
         yield writer.write
 

@@ -10,15 +10,16 @@ import threading
 import time
 from collections import deque
 from collections.abc import Coroutine
+from contextlib import suppress
 from dataclasses import asdict
 from typing import Any
 
 from daemon.imu.link import ImuLink
 from daemon.recording import topics
-from daemon.recording.metadata import LEARNED, SNAPSHOT, Preamble, describe, program_version, wall_offset_ns
+from daemon.recording.metadata import Preamble, describe, program_version, wall_offset_ns
 from daemon.recording.recorder import Recorder
 from daemon.recording.topics import Health, Recorded
-from daemon.rows import estimate_row, finite, move_row
+from daemon.rows import estimate_row, finite, learned_row, move_row
 from daemon.service import state_file
 from daemon.service.health import (
     HealthBook,
@@ -43,7 +44,7 @@ from drivers.can.estimate_frame import EstimateEncoder
 from drivers.can.frame import Frame
 from drivers.clock import SystemClock
 from drivers.condition import OFF
-from estimation.records import Estimate, Event, Move, Segment, Tick
+from estimation.records import Estimate, Event, Move, Tick
 
 HEALTH_S = 1.0
 TICK_S = 0.1
@@ -69,7 +70,7 @@ class Application:
         self._clock = SystemClock()
         self._notifier = notifier or Notifier()
         self._stopping = asyncio.Event()
-        start = state_file.load(settings.service.state_file, settings.support.stroke_mm)
+        start = state_file.load(settings.service.state_file, settings)
         self._recorder = Recorder(settings.recording, self._preamble)
         self._stream = Stream(settings, self._receive, start)
         self._live = LiveServer(settings.service.socket, self._hello)
@@ -91,6 +92,9 @@ class Application:
         self._publish_due_ns = 0
         self._live_due_ns = 0
         self._steps = 0
+        self._strokes_learned = self._stream.pipeline.strokes_learned
+        self._has_learned = asyncio.Event()
+        self._state: state_file.SavedState | None = None  # the newest, to be written
         self._state_lock = threading.Lock()
         self._loop_watch = LoopWatch()
         self._worst_lateness = Lateness()
@@ -180,6 +184,7 @@ class Application:
         self._catch_up_until_s = 0.0
         self._take_frames()
         self._stream.finish()
+        self._note_state()
         self._write_state()
         self._record_health(self.health())  # the last word of every counter
 
@@ -252,6 +257,9 @@ class Application:
             if topic == topics.PROVISIONAL:
                 self._steps += 1
                 self._publish(record)
+            elif self._stream.pipeline.strokes_learned != self._strokes_learned:
+                self._strokes_learned = self._stream.pipeline.strokes_learned
+                self._has_learned.set()
         elif isinstance(record, Event):
             _log.info("%s", record.what)
             self._live.push("event", {"t_s": record.t_ns * 1e-9, "what": record.what})
@@ -272,15 +280,14 @@ class Application:
 
     def _preamble(self) -> Preamble:
         identity = self._imu.identity
-        sensor = "" if identity is None else f"ADIS16448 lot {identity.lot_id:08X} serial {identity.serial}"
         return Preamble(
             describe(
                 "recording",
                 self._settings.model_dump_json(),
-                sensor=sensor,
+                sensor="" if identity is None else identity.name,
                 wall_minus_monotonic_ns=wall_offset_ns(),
             ),
-            {SNAPSHOT: self._stream.snapshot(), LEARNED: b"{}"},
+            self._stream.attachments(),
         )
 
     def _hello(self) -> dict[str, Any]:
@@ -354,30 +361,32 @@ class Application:
             },
             "live": {"viewers": self._live.viewers, "dropped": self._live.dropped, "refused": self._live.refused},
             "estimate": None if last is None else estimate_row(last),
+            "learned": learned_row(stream.learned()),
         }
         return {"state": str(book.worst())} | health
 
-    # --- remembered stroke ------------------------------------------------------------------------------------
+    # --- remembered over a restart ----------------------------------------------------------------------------
 
     async def _save_state(self) -> None:
+        """Every few seconds, and as soon as a move has taught something."""
         while True:
-            await asyncio.sleep(SAVE_STATE_S)
+            with suppress(TimeoutError):
+                await asyncio.wait_for(self._has_learned.wait(), SAVE_STATE_S)
+            self._has_learned.clear()
+            self._note_state()
             await asyncio.to_thread(self._write_state)
 
-    def _write_state(self) -> None:
+    def _note_state(self) -> None:
         last = self._stream.last
-        if last is None:
-            return
-        saved = state_file.SavedStroke(
-            wall_time_s=time.time(),
-            stroke_mm=self._settings.support.stroke_mm,
-            displacement_mm=last.displacement_m * 1e3,
-            sigma_mm=last.sigma_m * 1e3,
-            at_rest=last.segment is Segment.ZUPT,
-        )
+        if last is not None:
+            stroke_mm = self._settings.support.stroke_mm
+            self._state = state_file.SavedState.of(last, self._stream.learned(), stroke_mm, time.time())
+
+    def _write_state(self) -> None:
         try:
             with self._state_lock:  # at the end the last periodic writing may still be under way
-                state_file.save(self._settings.service.state_file, saved)
+                if self._state is not None:
+                    state_file.save(self._settings.service.state_file, self._state)
         except OSError as error:
             _log.warning("cannot write %s: %s", self._settings.service.state_file, error.strerror)
 

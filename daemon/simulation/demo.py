@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from daemon.recording import topics
-from daemon.recording.metadata import LEARNED, SNAPSHOT, describe
+from daemon.recording.metadata import describe
 from daemon.recording.topics import Recorded
 from daemon.recording.writer import RecordingWriter
 from daemon.settings import Settings
@@ -78,11 +78,12 @@ def run_demo(
         _collect(result, topic, record)
 
     run = SimulatedRun.of(settings, support, clock, faults)
-    with SimulatedStream(settings, run, clock, receive) as simulated:
-        snapshot = simulated.stream.snapshot()
-        with RecordingWriter(recording, metadata, {SNAPSHOT: snapshot, LEARNED: b"{}"}) as writer:
-            written.append(writer)
-            simulated.play(lambda now_ns: progress(min(now_ns / duration_ns, 1.0)))
+    with (
+        SimulatedStream(settings, run, clock, receive) as simulated,
+        RecordingWriter(recording, metadata, simulated.stream.attachments()) as writer,
+    ):
+        written.append(writer)
+        simulated.play(lambda now_ns: progress(min(now_ns / duration_ns, 1.0)))
     return result
 
 

@@ -14,6 +14,11 @@ class Identity:
     lot_id: int  # LOT_ID1 in the upper half
     serial: int
 
+    @property
+    def name(self) -> str:
+        """The part in words."""
+        return f"ADIS16448 lot {self.lot_id:08X} serial {self.serial}"
+
     def is_same_part(self, other: Identity) -> bool:
         """Whether both name one and the same part."""
         return (self.lot_id, self.serial) == (other.lot_id, other.serial)

@@ -82,6 +82,17 @@ def find_signal(settings: DisplacementSettings) -> DisplacementSignal:
     )
 
 
+def signal_name(settings: DisplacementSettings) -> str:
+    """Which signal that is, in words; the DBC file is not read."""
+    layout = _layout(settings)
+    words = [f"{layout.message}.{layout.signal}"]
+    if settings.arbitration_id is not None:
+        words.append(f"on 0x{settings.arbitration_id:X}")
+    if settings.node_id is not None:
+        words.append(f"of node {settings.node_id}")
+    return " ".join(words)
+
+
 def _layout(settings: DisplacementSettings) -> Preset:
     """The preset with the user's overrides, or the user's own layout."""
     if settings.preset is None:

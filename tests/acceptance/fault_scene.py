@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daemon.recording import topics
-from daemon.recording.metadata import LEARNED, SNAPSHOT, describe
+from daemon.recording.metadata import describe
 from daemon.recording.topics import Recorded
 from daemon.recording.writer import RecordingWriter
 from daemon.service.health import HealthBook, displacement_condition, kind_of
@@ -140,8 +140,8 @@ def play(
         sensor, bus, (decoder, *_) = scene.run.sensor, scene.run.bus, scene.stream.decoders
         assert bus is not None
         if recording is not None:
-            head = {SNAPSHOT: scene.stream.snapshot(), LEARNED: b"{}"}
-            writer = RecordingWriter(recording, describe("recording", chosen.model_dump_json()), head)
+            description = describe("recording", chosen.model_dump_json())
+            writer = RecordingWriter(recording, description, scene.stream.attachments())
             writers.append(stack.enter_context(writer))
         next_ns = 0
         while scene.step():

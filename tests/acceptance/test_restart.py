@@ -1,9 +1,10 @@
-"""The daemon starts while the ram stands at 300 mm: what it claims, and how sure it says it is."""
+"""The daemon starts while the ram stands at 300 mm: what it claims, how sure it says it is, what it still knows."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import json
 import random
 import time
 from collections.abc import AsyncIterator
@@ -12,8 +13,14 @@ from pathlib import Path
 
 import pytest
 
+from daemon.machine import machine_of
+from daemon.offline.replay import replay
+from daemon.recording import topics
+from daemon.recording.metadata import LEARNED
+from daemon.recording.reader import Recording
+from daemon.recording.topics import Health
 from daemon.service.application import Application
-from daemon.service.state_file import SavedStroke, load, save
+from daemon.service.state_file import SavedState, load, read, save
 from daemon.settings import Settings
 from daemon.simulation.virtual import virtual_part, virtual_support
 from drivers.can.interface import to_message
@@ -21,7 +28,9 @@ from drivers.clock import SystemClock
 from drivers.virtual.can_network import NetworkBus
 from drivers.virtual.controller import VirtualController
 from drivers.virtual.spi_socket import SpiSocketServer
+from estimation.learned import Learned
 from tests.daemon.application_kit import Viewer, run, settings_in
+from tests.estimation.learned_kit import learned_of
 
 pytestmark = pytest.mark.usefixtures("unsettled_process")
 
@@ -29,9 +38,14 @@ STROKE_MM = 300.0
 UNDETERMINED_MM = (250.0, 500 / sqrt(12))
 
 
-def remember(settings: Settings, displacement_mm: float) -> None:
-    saved = SavedStroke(
-        wall_time_s=time.time(), stroke_mm=500, displacement_mm=displacement_mm, sigma_mm=2, at_rest=True
+def remember(settings: Settings, displacement_mm: float, learned: Learned | None = None) -> None:
+    saved = SavedState(
+        wall_time_s=time.time(),
+        stroke_mm=500,
+        displacement_mm=displacement_mm,
+        sigma_mm=2,
+        at_rest=True,
+        learned=learned,
     )
     save(settings.service.state_file, saved)
 
@@ -90,7 +104,7 @@ def test_with_can_the_sensor_is_believed_against_the_saved_stroke(short_path: Pa
     assert last["can_state"] == "ok"
     assert viewer.of("event") == []
     # It is the new stroke that is remembered.
-    remembered = load(settings.service.state_file, 500).displacement_m
+    remembered = load(settings.service.state_file, settings).displacement_m
     assert remembered == pytest.approx(0.300, abs=0.02)
 
 
@@ -111,7 +125,7 @@ def test_without_can_the_saved_stroke_is_believed_with_doubt_added(short_path: P
     assert last["displacement_mm"] == pytest.approx(STROKE_MM, abs=0.1)
     assert last["sigma_mm"] == pytest.approx(hypot(2, 5), rel=0.01)
     # At every restart the doubt of an unwatched ram is added once more.
-    start = load(settings.service.state_file, 500)
+    start = load(settings.service.state_file, settings)
     assert start.displacement_m == pytest.approx(STROKE_MM / 1e3, abs=1e-4)
     assert start.sigma_m * 1e3 == pytest.approx(hypot(2, 5, 5), rel=0.02)
 
@@ -128,3 +142,64 @@ def test_with_neither_the_stroke_is_undetermined(short_path: Path) -> None:
     for estimate in viewer.of("estimate"):
         claimed = estimate["displacement_mm"], estimate["sigma_mm"]
         assert claimed == pytest.approx(UNDETERMINED_MM, rel=1e-3)
+
+
+def test_what_was_learned_outlasts_restarts_and_stands_in_every_recording(short_path: Path) -> None:
+    settings = settings_in(short_path, can={"enabled": False})
+    before = learned_of(machine_of(settings))
+    remember(settings, STROKE_MM, before)
+    for _ in range(2):
+        viewer = Viewer(settings)
+
+        async def scene(viewer: Viewer = viewer) -> None:
+            await viewer.read_until(lambda line: line["type"] == "estimate")
+            await viewer.read_until(lambda line: line["type"] == "status")
+
+        run(Application(settings), scene)
+        (greeting,) = viewer.of("hello")
+        assert greeting["learned"]["push"] == pytest.approx(
+            {
+                "speed_mm_s": before.push.speed_m_s * 1e3,
+                "sigma_mm_s": before.push.sigma_m_s * 1e3,
+                "moves": before.pushes,
+            },
+            abs=1e-4,
+        )
+    # The seconds between are nothing to months of memory, and nobody moved the ram.
+    after = read(settings.service.state_file, settings).learned
+    assert after is not None
+    assert (after.pushes, after.retracts, after.noise_m) == (before.pushes, before.retracts, before.noise_m)
+    assert after.machine.displacement_signal == before.machine.displacement_signal
+    assert after.machine.inertial_part.startswith("ADIS16448 lot ")
+    for name in after.names:
+        assert after.value(name) == pytest.approx(before.value(name), rel=1e-3)
+
+    files = sorted(settings.recording.directory.iterdir())
+    assert len(files) == 2
+    for path in files:
+        assert replay(path).identical is True
+        recorded = Learned.model_validate_json(Recording(path).attachments[LEARNED])
+        assert recorded.push == pytest.approx(before.push, rel=1e-3)
+        healths = [r for _, r in Recording(path).messages((topics.HEALTH,)) if isinstance(r, Health)]
+        assert json.loads(healths[-1].json)["learned"]["sensor"]["calibrations"] == before.calibrations
+
+
+def test_what_was_learned_of_another_machine_is_refused_as_a_whole(
+    short_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    settings = settings_in(short_path, can={"enabled": False})
+    elsewhere = machine_of(settings).model_copy(update={"push_speed_m_s": 0.02})
+    remember(settings, STROKE_MM, learned_of(elsewhere))
+    refusing = Application(settings)
+    assert [line for line in caplog.messages if "state.json" in line] == [
+        f"{settings.service.state_file} cannot be used: learned on another machine (its nominal push speed is "
+        "20 mm/s, not 14.53 mm/s): the stroke is undetermined and nothing is learned yet"
+    ]
+    viewer = Viewer(settings)
+
+    async def scene() -> None:
+        await viewer.read_until(lambda line: line["type"] == "estimate")
+
+    run(refusing, scene)
+    assert viewer.of("hello")[0]["learned"] is None
+    assert viewer.of("estimate")[-1]["sigma_mm"] == pytest.approx(UNDETERMINED_MM[1], rel=1e-3)

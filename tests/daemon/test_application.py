@@ -97,7 +97,8 @@ def test_a_run_measures_records_publishes_and_tells(
     # viewers
     (greeting,) = greetings
     assert greeting["type"] == "hello"
-    assert greeting.keys() >= {"version", "stroke_mm", "t_s", "imu", "can", "recorder", "live", "estimate"}
+    assert greeting.keys() >= {"version", "stroke_mm", "t_s", "imu", "can", "recorder", "live", "estimate", "learned"}
+    assert greeting["learned"] is None
     # A computer that is busy with other tests may miss samples.
     assert (greeting["imu"]["state"] in WORKING, greeting["can"]["state"]) == (True, "ok")
     assert greeting["imu"]["starts"] == 1
@@ -116,7 +117,7 @@ def test_a_run_measures_records_publishes_and_tells(
     assert (greeting["estimate"]["segment"], greeting["estimate"]["can_state"]) == ("ZUPT", "ok")
     assert len(viewer.of("status")) >= 3
     assert len(viewer.of("estimate")) > 5 * len(viewer.of("status"))
-    for word in ("stroke", "mm (1σ)", "imu", "displacement", "recorder", "ok", "viewers"):
+    for word in ("stroke", "mm (1σ)", "imu", "displacement", "recorder", "ok", "viewers", "nothing learned yet"):
         assert word in printed[0]
 
     # recording
@@ -142,7 +143,7 @@ def test_a_run_measures_records_publishes_and_tells(
 
     # what remains
     assert not settings.service.socket.exists()
-    start = state_file.load(settings.service.state_file, 500)
+    start = state_file.load(settings.service.state_file, settings)
     assert start.displacement_m is not None
     assert abs(start.displacement_m) < 0.02
     assert start.only_without_sensor
@@ -152,6 +153,25 @@ def test_a_run_measures_records_publishes_and_tells(
     assert said.count("STOPPING=1") == said.count("READY=1") == 1
     assert said.count("WATCHDOG=1") >= 2
     assert any("mm, ZUPT" in word for word in said)
+
+
+def test_a_move_that_taught_something_is_saved_at_once(short_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(application, "SAVE_STATE_S", 3600.0)
+    settings = settings_in(short_path, can={"enabled": False})
+    running, viewer = Application(settings), Viewer(settings)
+    saved: list[state_file.SavedState] = []
+
+    async def scene() -> None:
+        await viewer.read_until(lambda line: line["type"] == "estimate")
+        assert not settings.service.state_file.exists()
+        running._stream.pipeline.state.settled.pushes_learned += 1
+        while not settings.service.state_file.exists():
+            await asyncio.sleep(0.05)
+        saved.append(state_file.read(settings.service.state_file, settings))
+
+    run(running, scene)
+    assert saved[0].learned is not None
+    assert saved[0].learned.pushes == 1
 
 
 def test_the_watchdog_is_fed_while_a_missing_sensor_is_retried(

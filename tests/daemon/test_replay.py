@@ -5,15 +5,18 @@ from __future__ import annotations
 import csv
 import json
 import math
+import re
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from daemon.cli import main
+from daemon.machine import machine_of
 from daemon.offline.replay import replay
 from daemon.recording import topics
 from daemon.recording.metadata import LEARNED, SNAPSHOT, Preamble, describe
@@ -22,6 +25,7 @@ from daemon.recording.recorder import Recorder
 from daemon.recording.settings import RecorderSettings
 from daemon.recording.topics import TOPICS, Recorded
 from daemon.recording.writer import RecordingWriter
+from daemon.service import state_file
 from daemon.settings import Settings
 from daemon.simulation.demo import demo_settings
 from daemon.simulation.run import SimulatedRun
@@ -30,9 +34,11 @@ from daemon.stream import Sink, Stream
 from drivers.adis16448.identity import Identity
 from drivers.can.frame import Frame
 from drivers.clock import VirtualClock
+from estimation.learned import Learned
 from estimation.pipeline import Start
-from estimation.records import Estimate, Segment
+from estimation.records import Estimate, Segment, Tick
 from tests.conftest import DemoRun
+from tests.estimation.learned_kit import learned_of
 
 CONTROLLER_ID = 0x310
 ESTIMATES = (topics.PROVISIONAL, topics.SETTLED)
@@ -265,7 +271,6 @@ def test_other_settings_give_other_estimates_and_are_written_down(
     assert report["samples"] == before["samples"]
     written = Settings.model_validate_json(Recording(output).metadata["settings"])
     assert (written.support.stroke_mm, written.estimator.can_noise_mm) == (700, 9)
-    assert SNAPSHOT not in Recording(output).attachments
     # The stroke at the start is undetermined now, until a reading with 9 mm of noise comes.
     assert estimates_in(output, topics.PROVISIONAL)[0].sigma_m > 5 * estimates_in(short, topics.PROVISIONAL)[0].sigma_m
     assert replayed(capsys, output)["identical"] is True
@@ -353,6 +358,203 @@ def test_a_recording_of_another_version_asks_for_a_configuration(
     assert main(["replay", str(path), "--config", str(config)]) == 0
 
 
+# --- what was learned ------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Halves:
+    """The demo, cut in the rest between push and retract."""
+
+    first: Path
+    second: Path
+
+
+@pytest.fixture(scope="module")
+def halves(demo_run: DemoRun, tmp_path_factory: pytest.TempPathFactory) -> Halves:
+    folder = tmp_path_factory.mktemp("halves")
+    cut_s = sum(demo_run.report["moves"][i][key] for i, key in enumerate(("stop_s", "onset_s"))) / 2
+
+    def late(topic: str, record: Recorded) -> Recorded | None:
+        return record if TOPICS[topic].time_ns(record) > cut_s * 1e9 else None
+
+    return Halves(
+        rewrite(demo_run.recording, folder / "first.mcap", lambda _, record: record, seconds=cut_s),
+        rewrite(demo_run.recording, folder / "second.mcap", late),
+    )
+
+
+def test_two_halves_with_the_state_between_are_measured_as_well_as_the_whole(
+    halves: Halves, demo_run: DemoRun, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    state = str(tmp_path / "state.json")
+    first = replayed(capsys, halves.first, "--save-state", state)
+    assert first["identical"] is True
+    assert (first["learned"]["push"]["moves"], first["learned"]["retract"]["moves"]) == (1, 0)
+    # From the state and into the state, as a chain of files is replayed.
+    second = replayed(capsys, halves.second, "--state", state, "--save-state", state)
+    afresh = replayed(capsys, halves.second, "--config", str(empty_config(tmp_path)))
+    assert second["identical"] is None
+    assert second["learned"]["sensor"]["calibrations"] == 2
+    (retract,), (new,), whole = second["moves"], afresh["moves"], demo_run.report["moves"][1]
+    assert retract["kind"] == new["kind"] == "retract"
+    assert retract["sigma_before_stop_mm"] < 1.1 * whole["sigma_before_stop_mm"]
+    assert new["sigma_before_stop_mm"] > 1.3 * whole["sigma_before_stop_mm"]
+    assert abs(retract["end_before_stop_mm"] - whole["truth_mm"]) < 2.5 * retract["sigma_before_stop_mm"]
+    # What both halves learned is what the whole teaches.
+    learned, at_once = second["learned"], replayed(capsys, demo_run.recording)["learned"]
+    for part, value, sigma in (
+        ("push", "speed_mm_s", "sigma_mm_s"),
+        ("retract", "speed_mm_s", "sigma_mm_s"),
+        ("sensor", "scale_percent", "scale_sigma_percent"),
+        ("sensor", "offset_mm", "offset_sigma_mm"),
+    ):
+        assert learned[part][sigma] == pytest.approx(at_once[part][sigma], rel=0.15)
+        assert abs(learned[part][value] - at_once[part][value]) < at_once[part][sigma]
+
+
+def empty_config(folder: Path) -> Path:
+    path = folder / "defaults.toml"
+    path.write_text("")
+    return path
+
+
+def test_people_are_told_what_was_learned_and_that_nothing_is_compared(
+    short: Path, halves: Halves, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    state = str(tmp_path / "state.json")
+    assert main(["replay", str(short)]) == 0
+    assert "learned: nothing learned yet\n" in capsys.readouterr().out
+    assert main(["replay", str(halves.first), "--save-state", state]) == 0
+    capsys.readouterr()
+    assert main(["replay", str(short), "--state", state]) == 0
+    said = capsys.readouterr().out
+    assert "recorded estimates: not compared\n" in said
+    assert re.search(
+        r"learned: push 1\d\.\d\d ± 0\.\d\d mm/s \(from 1 move\), retract .* \(from 0 moves\), sensor", said
+    )
+
+
+def test_what_a_replay_from_a_state_writes_replays_by_itself(
+    short: Path, halves: Halves, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    state, output = tmp_path / "state.json", tmp_path / "out.mcap"
+    replayed(capsys, halves.first, "--save-state", str(state))
+    from_state = replayed(capsys, short, "--state", str(state), "-o", str(output))
+    report = replayed(capsys, output)
+    assert report["identical"] is True
+    assert report["learned"] == from_state["learned"]
+    started = Learned.model_validate_json(Recording(output).attachments[LEARNED])
+    saved = state_file.read(state, Settings()).learned
+    assert saved is not None
+    assert (started.names, started.pushes) == (saved.names, saved.pushes)
+    for name in started.names:  # an hour's doubt at most was added
+        assert started.value(name) == pytest.approx(saved.value(name), rel=1e-2)
+
+
+def headed(source: Path, target: Path, attachments: dict[str, bytes]) -> Path:
+    """A copy with another head."""
+    recording = Recording(source)
+    with RecordingWriter(target, recording.metadata, attachments) as writer:
+        for topic, record in recording.messages((topics.IMU_RAW, topics.CAN_RX)):
+            writer.write(topic, record)
+    return target
+
+
+def test_without_a_snapshot_a_replay_begins_with_what_was_learned(
+    short: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    known = learned_of(machine_of(demo_settings(1)))
+    path = headed(short, tmp_path / "headed.mcap", {LEARNED: known.model_dump_json().encode()})
+    report = replayed(capsys, path)
+    assert report["learned"]["push"]["moves"] == known.pushes
+    assert report["learned"]["push"]["speed_mm_s"] == pytest.approx(known.push.speed_m_s * 1e3, rel=1e-3)
+    afresh = replayed(capsys, path, "--config", str(empty_config(tmp_path)))
+    assert afresh["learned"] is None
+
+
+@pytest.mark.parametrize(
+    "learned",
+    [
+        b"",
+        b"learned",
+        b'{"rate_hz": 815.25}',
+        learned_of(machine_of(demo_settings(1)).model_copy(update={"stroke_m": 0.7})).model_dump_json().encode(),
+    ],
+)
+def test_a_learned_state_that_cannot_be_used_asks_for_a_configuration(
+    learned: bytes, short: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = headed(short, tmp_path / "headed.mcap", {LEARNED: learned})
+    assert main(["replay", str(path)]) == 1
+    assert capsys.readouterr().err == (
+        f"ramstroke: {path}: its learned state is damaged or of another version: name --config FILE to start afresh\n"
+    )
+    assert main(["replay", str(path), "--config", str(empty_config(tmp_path))]) == 0
+    # Beside a snapshot, which holds everything, it is not needed.
+    whole = headed(short, tmp_path / "whole.mcap", {LEARNED: learned, SNAPSHOT: Recording(short).attachments[SNAPSHOT]})
+    assert main(["replay", str(whole)]) == 0
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (None, "does not exist: name a state file, or write one with --save-state"),
+        (b"", "is damaged or of another version"),
+        (b'{"format": 2}', "is damaged or of another version"),
+        (
+            b'{"format": 1, "wall_time_s": 1, "stroke_mm": 600, "displacement_mm": 1, "sigma_mm": 1, "at_rest": true}',
+            "is of another machine: its stroke is 600 mm, not 500 mm",
+        ),
+    ],
+)
+def test_a_state_that_cannot_be_used_is_wrong_usage(
+    content: bytes | None, said: str, short: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    state, output = tmp_path / "state.json", tmp_path / "out.mcap"
+    if content is not None:
+        state.write_bytes(content)
+    for options in ([], ["-o", str(output)]):
+        assert main(["replay", str(short), "--state", str(state), *options]) == 2
+        assert capsys.readouterr() == ("", f"ramstroke: {state} {said}\n")
+    assert not output.exists()
+
+
+def test_a_state_that_cannot_be_written_is_wrong_usage(
+    short: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").touch()
+    for target, said in (
+        (tmp_path / "file" / "x", f"cannot write {tmp_path}/file/x: File exists"),
+        (tmp_path, f"cannot write {tmp_path}: Is a directory"),
+        (short, f"{short} is the file to read from: name another file for the state"),
+    ):
+        assert main(["replay", str(short), "--save-state", str(target)]) == 2
+        assert capsys.readouterr() == ("", f"ramstroke: {said}\n")
+    bare = headed(short, tmp_path / "bare.mcap", {})
+    with RecordingWriter(bare, Recording(short).metadata) as writer:
+        writer.write(topics.TICK, Tick(0))
+    assert main(["replay", str(bare), "--save-state", str(tmp_path / "s.json")]) == 2
+    assert capsys.readouterr().err.startswith(f"ramstroke: {bare} brings about no estimate: ")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["bare.mcap", "file"]
+    assert not list(tmp_path.parent.glob(".*.part"))
+
+
+def test_a_recording_that_does_not_say_when_it_was_made_can_be_begun_from_a_state(
+    short: Path, halves: Halves, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    state = str(tmp_path / "state.json")
+    replayed(capsys, halves.first, "--save-state", state)
+    for number, created in enumerate((None, "yesterday", "0001-01-01T00:00:00")):
+        metadata = dict(Recording(short).metadata)
+        del metadata["created"]
+        path = tmp_path / f"{number}.mcap"
+        with RecordingWriter(path, metadata if created is None else metadata | {"created": created}) as writer:
+            for topic, record in islice(Recording(short).messages((topics.IMU_RAW,)), 2000):
+                writer.write(topic, record)
+        report = replayed(capsys, path, "--state", state, "--save-state", state)
+        assert report["learned"]["push"]["moves"] == 1
+
+
 # --- a run in simulated time, recorded by the real recorder ----------------------------------------------------
 
 
@@ -383,7 +585,7 @@ def changed(settings: Settings, **sections: dict[str, Any]) -> Settings:
 
 
 def preamble(settings: Settings, stream: Stream) -> Preamble:
-    return Preamble(describe("recording", settings.model_dump_json()), {SNAPSHOT: stream.snapshot(), LEARNED: b"{}"})
+    return Preamble(describe("recording", settings.model_dump_json()), stream.attachments())
 
 
 @pytest.mark.parametrize("block_samples", [1, 8, 13, 64])

@@ -11,8 +11,10 @@ from pathlib import Path
 
 import pytest
 
+from daemon.machine import machine_of
 from daemon.offline.replay import settings_of
 from daemon.recording import topics
+from daemon.recording.metadata import LEARNED, SNAPSHOT
 from daemon.recording.reader import Recording
 from daemon.recording.topics import TOPICS, Recorded, RecordedDisplacement
 from daemon.settings import Settings
@@ -112,6 +114,32 @@ def test_a_snapshot_taken_anywhere_goes_on_with_the_same_bytes(
             after.take(topic, record)
         after.finish()
         assert first.taken + second.taken == whole.taken, place
+
+
+def test_what_was_learned_and_the_snapshot_beside_it_are_of_the_same_moment(
+    demo_run: DemoRun, demo_settings: Settings
+) -> None:
+    """At the head of a file that begins before, within and after a move."""
+    push_stop_s = demo_run.report["moves"][0]["stop_s"]
+    places_s = [20.0, push_stop_s + 1.0, push_stop_s + 6.0]
+    stream = Stream(demo_settings, Sink(), Start(0.0))
+    strokes: list[int] = []
+    for topic, record in Recording(demo_run.recording).messages((topics.IMU_IDENTITY, topics.IMU_RAW, topics.CAN_RX)):
+        stream.take(topic, record)
+        if TOPICS[topic].time_ns(record) > places_s[len(strokes)] * 1e9:
+            head = stream.attachments()
+            resumed = Stream(demo_settings, Sink())
+            resumed.restore(head[SNAPSHOT])
+            assert resumed.attachments() == head
+            learned = resumed.learned()
+            assert head[LEARNED] == (b"{}" if learned is None else learned.model_dump_json().encode())
+            strokes.append(0 if learned is None else learned.calibrations)
+            if len(strokes) == len(places_s):
+                break
+    assert strokes == [0, 0, 1]
+    assert learned is not None
+    assert stream.identity is not None
+    assert learned.machine == machine_of(demo_settings).model_copy(update={"inertial_part": stream.identity.name})
 
 
 def test_every_input_comes_out_first_and_once_then_what_it_brought_about(
