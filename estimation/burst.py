@@ -66,12 +66,11 @@ STOP = BurstPrior((9.0, 0.30), (0.167, 0.35), (0.060, 0.50), 0.03)
 
 @dataclass(slots=True, frozen=True)
 class Burst:
-    """What a burst tells: step of the speed [m/s], when it began, and how sure both are."""
+    """What a burst tells: step of the speed [m/s], its sigma, and when it began."""
 
     step_m_s: float
     sigma_m_s: float
     t_ns: int
-    t_sigma_s: float
 
 
 @dataclass(frozen=True)
@@ -167,7 +166,6 @@ def _refined(
         step_m_s=step,
         sigma_m_s=sqrt(covariance[0, 0]),
         t_ns=guess_ns + round((float(shape[3]) - view.delay_s) * 1e9),
-        t_sigma_s=sqrt(max(covariance[4, 4], 0.0)),
     )
 
 

@@ -81,7 +81,7 @@ class VibrationSpectrum:
         """Mean square of the second difference of such vibration, per mean square of it."""
         angle = np.linspace(0.0, np.pi, WINDOW // 2 + 1)
         gain = float(self.shape() @ (2.0 - 2.0 * np.cos(angle)) ** 2 * design_lags(self.dt_s, 1)[0])
-        return max(gain, 1.0)  # long blocks average the vibration out: what is left tells little of it
+        return max(gain, 0.5)  # long blocks average the vibration out: what is left tells little of it
 
 
 @lru_cache(maxsize=1)
