@@ -156,7 +156,7 @@ def replay(
         identical=all(c.identical for c in comparisons.values()) if has_estimates else None,
         moves=moves,
         learned=stream.learned(),
-        end=_end(stream, _began_s(recording) + duration_s),
+        end=_end(stream, (_began_s(recording) or time.time()) + duration_s),
         damage=recording.damage,
     )
 
@@ -185,7 +185,7 @@ def stream_at_start(recording: Recording, settings: Settings | None, sink: Sink,
 
 
 def _saved_start(recording: Recording, settings: Settings, path: Path) -> Start:
-    """What the state file is worth when the recording begins; one that is saved later is of now."""
+    """What the state file is worth when the recording begins; one that was saved later counts as of that moment."""
     try:
         saved = state_file.read(path, settings)
     except FileNotFoundError as error:

@@ -67,6 +67,9 @@ MOVE_KEYS = {
 }
 
 
+ELSEWHERE = {"displacement_mm": 400.0}
+
+
 def estimates_in(path: Path, topic: str) -> list[Estimate]:
     return [record for _, record in Recording(path).messages((topic,)) if isinstance(record, Estimate)]
 
@@ -182,6 +185,14 @@ def test_an_import_has_no_estimates_to_reproduce(tmp_path: Path, capsys: pytest.
     assert estimates[0].segment is Segment.ZUPT
     assert [e.displacement_m for e in estimates] == pytest.approx([0.120] * (1000 // 8), abs=1e-3)
     # What the replay wrote now has estimates, and they come out again.
+    assert replayed(capsys, again)["identical"] is True
+    # From a state file only what was learned is taken: where the ram stood, the configuration knows.
+    state = tmp_path / "state.json"
+    learned = learned_of(machine_of(Settings()))
+    state_file.save(state, state_file.SavedState.of(estimates[0], learned, 500, 1e9).model_copy(update=ELSEWHERE))
+    report = replayed(capsys, imported, "--state", str(state), "-o", str(again))
+    assert report["learned"]["push"]["moves"] == learned.pushes
+    assert estimates_in(again, topics.SETTLED)[-1].displacement_m == pytest.approx(0.120, abs=1e-3)
     assert replayed(capsys, again)["identical"] is True
 
 
