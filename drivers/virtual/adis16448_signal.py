@@ -49,7 +49,7 @@ class FilterPath:
         """Filter samples (n, CHANNELS); return the outputs and the row of the sample that completes each."""
         reach = len(self._tail)
         filtered = samples
-        if reach:
+        if reach and len(samples):
             joined = np.concatenate([self._tail, samples])
             self._tail = joined[-reach:]
             filtered = samples.copy()  # the temperature is not filtered

@@ -6,6 +6,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
+from drivers.virtual.adis16448_signal import CHANNELS, HISTORY, FilterPath
 from drivers.virtual.sensor_errors import SensorErrors, SensorGrade
 
 DT = 1 / 819.2
@@ -100,3 +101,17 @@ def test_scale_square_temperature_and_g_act_on_their_own_quantity() -> None:
     turning = SensorErrors(np.random.default_rng(9), replace(NOTHING, gyro_scale=0.005))
     sensed, _ = turning.apply(DT, gyro + 1.0, accel, temperature)
     assert 0 < np.abs(sensed - 1).max() < 0.025
+
+
+@pytest.mark.parametrize(("taps", "decimation"), [(0, 0), (2, 0), (5, 3)])
+def test_a_block_without_samples_changes_nothing_in_the_filter(taps: int, decimation: int) -> None:
+    rng = np.random.default_rng(6)
+    samples = rng.normal(size=(64, CHANNELS))
+    plain, interrupted = (FilterPath(taps, decimation, np.zeros((HISTORY, CHANNELS))) for _ in range(2))
+    rows, values = plain.feed(samples)
+    first_rows, first = interrupted.feed(samples[:21])
+    no_rows, nothing = interrupted.feed(samples[:0])
+    last_rows, last = interrupted.feed(samples[21:])
+    assert len(no_rows) == len(nothing) == 0
+    assert np.array_equal(np.concatenate([first_rows, last_rows + 21]), rows)
+    assert np.array_equal(np.concatenate([first, last]), values)
