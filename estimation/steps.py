@@ -218,12 +218,11 @@ class StepBank:
         noise = self._noise(resting)
         self._follow_vibration(noise)
         self.times_ns.append(block.t_ns)
+        at_rest, in_motion = self._noises()
         if since_event_s > UNDISTURBED_S and self.blocks > 1:
-            (self.rest_noise if resting else self.move_noise).follow(levelled[-WINDOW:])  # type: ignore[union-attr]
+            (at_rest if resting else in_motion).follow(levelled[-WINDOW:])
         else:
-            assert self.rest_noise is not None
-            assert self.move_noise is not None
-            self.rest_noise.undisturbed = self.move_noise.undisturbed = 0
+            at_rest.undisturbed = in_motion.undisturbed = 0
 
         banks = noise.kernels()
         bank = banks.short if since_event_s < RECENT_S or self.blocks < len(levelled) else banks.long
@@ -258,9 +257,13 @@ class StepBank:
         )
 
     def _noise(self, resting: bool) -> VibrationNoise:
-        assert self.rest_noise is not None
+        at_rest, in_motion = self._noises()
+        return in_motion if not resting and in_motion.measured else at_rest
+
+    def _noises(self) -> tuple[VibrationNoise, VibrationNoise]:
+        assert self.rest_noise is not None  # since __post_init__
         assert self.move_noise is not None
-        return self.move_noise if not resting and self.move_noise.measured else self.rest_noise
+        return self.rest_noise, self.move_noise
 
     def keep_pace(self, t_ns: int, period_s: float) -> None:
         """Before a block that ends at `t_ns`: put fillers where samples were lost, so that the kernels' time is true.
