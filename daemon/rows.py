@@ -77,7 +77,12 @@ def learned_words(row: dict[str, Any] | None) -> str:
         for name in ("push", "retract")
     ]
     sensor = row["sensor"]
-    for name, unit, sign in (("scale", "percent", "%"), ("offset", "mm", "mm"), ("bow", "mm", "mm")):
+    for name, unit, sign in (
+        ("scale", "percent", "%"),
+        ("offset", "mm", "mm"),
+        ("bow", "mm", "mm"),
+        ("latency", "ms", "ms"),
+    ):
         words.append(f"{name} {sensor[f'{name}_{unit}']:+.1f} ± {sensor[f'{name}_sigma_{unit}']:.1f} {sign}")
     words[2] = f"sensor {words[2]}"
     return ", ".join(words)

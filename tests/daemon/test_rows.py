@@ -46,7 +46,7 @@ def test_what_was_learned_has_a_unit_in_every_name() -> None:
 def test_what_was_learned_is_told_in_one_line() -> None:
     assert learned_words(learned_row(LEARNED)) == (
         "push 14.61 ± 0.12 mm/s (from 4 moves), retract 35.40 ± 0.30 mm/s (from 1 move), "
-        "sensor scale -1.9 ± 0.1 %, offset +1.2 ± 0.4 mm, bow -0.4 ± 0.6 mm"
+        "sensor scale -1.9 ± 0.1 %, offset +1.2 ± 0.4 mm, bow -0.4 ± 0.6 mm, latency +4.0 ± 5.0 ms"
     )
 
 
