@@ -89,8 +89,19 @@ def load(path: Path, settings: Settings, now_s: float | None = None) -> Start:
         return Start()
     except StateFileError as error:
         _log.warning("%s: the stroke is undetermined and nothing is learned yet", error)
+        _set_aside(path)
         return Start()
     return saved.start(settings, time.time() if now_s is None else now_s)
+
+
+def _set_aside(path: Path) -> None:
+    """Keep a refused file from being saved over: one wrong setting must not cost months of learning."""
+    aside = path.with_name(f"{path.name}.refused")
+    try:
+        if path.is_file() and not aside.exists():
+            path.replace(aside)
+    except OSError as error:
+        _log.warning("%s cannot be kept as %s (%s)", path, aside.name, error.strerror)
 
 
 def read(path: Path, settings: Settings) -> SavedState:
@@ -101,6 +112,8 @@ def read(path: Path, settings: Settings) -> SavedState:
         StateFileError: it is damaged, of another version or of another machine than that of the settings.
     """
     try:
+        if path.is_fifo():
+            raise StateFileError(f"{path} is a pipe, no file")  # opening it would wait for ever
         with path.open("rb") as stream:
             saved = SavedState.model_validate_json(stream.read(LARGEST_FILE_BYTES))
     except FileNotFoundError:

@@ -11,6 +11,7 @@ import random
 from collections.abc import Callable
 from math import hypot, sqrt
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -319,12 +320,10 @@ def test_no_bytes_whatever_stop_the_start(data: bytes) -> None:
 
 
 def loaded(data: bytes) -> Start:
-    path = Path(f"/tmp/ramstroke-state-{os.getpid()}")
-    try:
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "state.json"
         path.write_bytes(data)
         return load(path, SETTINGS, NOW_S)
-    finally:
-        path.unlink()
 
 
 WHOLE = json.dumps(CALIBRATED.model_dump()).encode()
@@ -424,3 +423,25 @@ def test_the_data_are_on_the_disk_before_the_name_changes(tmp_path: Path, monkey
     monkeypatch.setattr(Path, "replace", replace)
     save(tmp_path / "state.json", AT_300)
     assert steps == ["fsync", "rename to state.json"]
+
+
+def test_a_refused_file_is_kept_beside_and_never_saved_over(tmp_path: Path) -> None:
+    path = tmp_path / "state.json"
+    save(path, AT_300.model_copy(update={"stroke_mm": 700}))
+    refused = path.read_bytes()
+    assert load(path, SETTINGS, NOW_S) == Start()
+    aside = tmp_path / "state.json.refused"
+    assert aside.read_bytes() == refused
+    save(path, AT_300)
+    path.write_text("{")
+    assert load(path, SETTINGS, NOW_S) == Start()
+    assert aside.read_bytes() == refused  # the first one, which may hold more than what came after
+
+
+def test_a_pipe_in_place_of_the_file_is_told_instead_of_waited_for(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = tmp_path / "state.json"
+    os.mkfifo(path)
+    assert load(path, SETTINGS, NOW_S) == Start()
+    assert f"{path} is a pipe, no file" in caplog.text
