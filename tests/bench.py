@@ -10,7 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from daemon import terminal
-from daemon.offline.evaluation import MODES, Case, evaluate, records_of, summarise, summarise_clock
+from daemon.offline.evaluation import MODES, evaluate, records_of
+from daemon.offline.evaluation_score import Case
+from daemon.offline.evaluation_summary import summarise, summarise_clock
 from daemon.offline.replay import replay
 from daemon.recording.metadata import describe
 from daemon.recording.reader import Recording

@@ -10,6 +10,9 @@ HELP = (
     "Accuracy on many virtual supports, truth known: with and without the displacement sensor, beside the clock "
     "(nominal speed x true duration) on the same seeds."
 )
+# Beside a figure that lies outside the 99 % interval of a consistent filter.
+MARK = "*"
+INTERVALS = {"coverage_95": "coverage_99", "nees": "nees_99"}  # by figure: where a consistent filter's lies
 EXAMPLE = "ramstroke evaluate --scenario partial --seeds 1:31 --warm 4 --jobs 2"
 
 
@@ -48,7 +51,8 @@ def run(arguments: argparse.Namespace) -> int:
     from dataclasses import asdict
 
     from daemon import terminal
-    from daemon.offline.evaluation import MODES, Case, evaluate
+    from daemon.offline.evaluation import MODES, evaluate
+    from daemon.offline.evaluation_score import Case
     from daemon.offline.scenarios import SCENARIOS_OF_EVALUATION
 
     if arguments.scenario == "list":
@@ -82,6 +86,7 @@ def run(arguments: argparse.Namespace) -> int:
         )
         return 0
     _print(rows, arguments)
+    _print_delays(rows)
     for result in failures:
         case = result.case
         terminal.OUT.print(f"{case.scenario}, seed {case.seed}, {case.mode}: {result.failure}", highlight=False)
@@ -113,14 +118,20 @@ def _check(arguments: argparse.Namespace) -> None:
             arguments.plot.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise UsageError(f"--plot {arguments.plot}: {error.strerror}; name a folder that can be written") from None
+        from daemon.offline.evaluation_plots import require_matplotlib
+
+        require_matplotlib()  # before an hour of computing
 
 
 def _rows(results: list[Any], scenario: str) -> dict[str, dict[str, Any]]:
     """Of one scenario: for each judged move a row per mode and the clock's."""
-    from daemon.offline.evaluation import row_names, summarise, summarise_clock
+    from daemon.offline.evaluation_summary import row_names, summarise, summarise_clock, summarise_rest
 
     modes = list(dict.fromkeys(result.case.mode for result in results))
     rows: dict[str, dict[str, Any]] = {}
+    if any(result.rest_s for result in results):
+        for mode in modes:
+            rows[f"{mode} rest"] = summarise_rest([result for result in results if result.case.mode == mode])
     for index, name in enumerate(row_names(scenario)):
         for mode in modes:
             rows[f"{mode} {name}"] = summarise([result for result in results if result.case.mode == mode], index)
@@ -149,8 +160,16 @@ def _print(rows: dict[str, dict[str, dict[str, Any]]], arguments: argparse.Names
         "stop ms",
         "failed",
     )
+    rests = []
     for scenario, of_scenario in rows.items():
         for name, row in of_scenario.items():
+            if "hours" in row:
+                low, high = row["false_per_hour_95"]
+                rests.append(
+                    f"{scenario}, {name}: {row['false_moves']} false moves in {row['hours']:.2f} h, "
+                    f"{row['false_per_hour']:.2f} an hour (95 %: {low:.2f} to {high:.2f})"
+                )
+                continue
             made.add_row(
                 scenario,
                 name,
@@ -161,6 +180,57 @@ def _print(rows: dict[str, dict[str, dict[str, Any]]], arguments: argparse.Names
                 f"{row['failures']} of {row['records']}",
             )
     terminal.OUT.print(made)
+    for line in rests:
+        terminal.OUT.print(line, highlight=False)
+
+
+def _print_delays(rows: dict[str, dict[str, dict[str, Any]]]) -> None:
+    from daemon import terminal
+
+    made = terminal.table(
+        "Delays (median | p95), speed, and either tier at a random instant",
+        "scenario",
+        "what",
+        "proposed s",
+        "confirmed s",
+        "told s",
+        "CVS speed mm/s",
+        "mean speed mm/s",
+        "prov. 95 %",
+        "NEES",
+        "settled 95 %",
+        "NEES",
+        "rms of clock's",
+    )
+    marked = False
+    for scenario, of_scenario in rows.items():
+        for name, row in of_scenario.items():
+            if "rms_of_clock" not in row:
+                continue
+            honest = [_marked(row, f"{tier}_{what}", what) for tier in ("provisional", "settled") for what in INTERVALS]
+            marked |= any(cell.endswith(MARK) for cell in honest)
+            low, high = row["rms_of_clock_95"]
+            made.add_row(
+                scenario,
+                name,
+                *(_both(row, key, "s", 2) for key in ("proposed", "confirmed", "told")),
+                *(_both(row, key, "mm_s", 2) for key in ("cvs_speed", "mean_speed")),
+                *honest,
+                f"{row['rms_of_clock']:.2f} ({low:.2f}–{high:.2f})",
+            )
+    if made.row_count:
+        terminal.OUT.print(made)
+    if marked:
+        terminal.OUT.print(f"{MARK} outside what 99 of 100 consistent filters show", highlight=False)
+
+
+def _marked(row: dict[str, Any], key: str, what: str) -> str:
+    low, high = row[INTERVALS[what]]
+    return f"{row[key]:.2f}{'' if low <= row[key] <= high else MARK}"
+
+
+def _both(row: dict[str, Any], key: str, unit: str, digits: int) -> str:
+    return f"{_figure(row, f'{key}_median_{unit}', digits)} | {_figure(row, f'{key}_p95_{unit}', digits)}"
 
 
 def _figure(row: dict[str, Any], key: str, digits: int) -> str:

@@ -37,6 +37,7 @@ class EvaluationScenario:
     clock_error: float | None = None  # of the inertial sensor's sample rate; None = drawn
     turned_deg: float = 0.0  # the sensor about the vertical
     time_tolerance_s: float = 0.3  # an onset or stop farther off is a failure
+    only_rest: bool = False  # the wait is judged: a move found before the script's first is a false one
 
     def felt(self, move: TrueMove) -> bool:
         """Whether the part that carries the inertial sensor takes part in that move."""
@@ -125,6 +126,6 @@ SCENARIOS_OF_EVALUATION: dict[str, EvaluationScenario] = {
     "switching": EvaluationScenario("a machine nearby starts and stops", _world(switches_per_s=0.05)),
     "foreign": EvaluationScenario("another maker's support, which no assumption was taken from", FOREIGN),
     "foreign_partial": EvaluationScenario("the same, with a push of 330 mm", FOREIGN, partial()),
-    "quiet_rest": EvaluationScenario("ten minutes of rest", script=rest(600.0)),
-    "noisy_rest": EvaluationScenario("ten minutes of noisy rest", _NOISY, rest(600.0)),
+    "quiet_rest": EvaluationScenario("ten minutes of rest", script=rest(600.0), only_rest=True),
+    "noisy_rest": EvaluationScenario("ten minutes of noisy rest", _NOISY, rest(600.0), only_rest=True),
 }
