@@ -17,7 +17,7 @@ from daemon.rows import move_row as move_row
 from estimation.records import Move
 
 # A pipe or a file has no width of its own: wide enough for every table.
-OUT = Console(soft_wrap=True, width=None if sys.stdout.isatty() else 140)
+OUT = Console(soft_wrap=True, width=None if sys.stdout.isatty() else 160)
 ERR = Console(stderr=True, soft_wrap=True)
 
 

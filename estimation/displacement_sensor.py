@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import isfinite
+from math import isfinite, sqrt
 
 from estimation.records import CanState, Displacement, ReadingFault
 
@@ -14,6 +14,8 @@ STUCK_S = 0.25
 STUCK_TRAVEL_M = 0.003  # ... while the piston must have moved this far
 BIASED_READINGS = 8  # outside the gate in a row, and inside it again to be trusted
 SHARPER_THAN_BIAS, WORSE_THAN_BIAS = 0.25, 1.5
+LEAP_M, LEAP_SIGMAS = 0.008, 5.0  # between two readings, beyond what the fastest ram makes of the time
+FASTEST_M_S = 0.05
 LATE_PERIODS, LATE_S = 3.0, 0.15
 LONGEST_PERIOD_S = 1.0  # a longer pause tells nothing of the source's rate
 MARGIN_M = 0.04  # beyond the stroke: scale and offset are not known yet
@@ -49,6 +51,7 @@ class DisplacementSensor:
     sound: bool = False  # a reading without fault has come; the next three are of the last such
     last_value_m: float = 0.0
     last_prediction_m: float = 0.0
+    last_sound_ns: int = 0
     period_s: float = 0.1
     same_in_row: int = 0
     row_began_ns: int = 0
@@ -61,6 +64,9 @@ class DisplacementSensor:
     repeated: bool = False  # by its own counter: as good as stuck
     out_of_range: bool = False
     stuck: bool = False
+    leapt: bool = False  # the last reading, farther than a ram can go
+    astray: bool = False  # since it has leapt
+    before_leap_m: float = 0.0  # deviation from the prediction
     biased: bool = False
     bias_m: float = 0.0  # how far off it was found
 
@@ -83,6 +89,7 @@ class DisplacementSensor:
         if self.invalid or self.out_of_range or self.repeated:
             return Reading(reading.t_ns, reading.value_m, usable=False)
 
+        self._look_for_jump(reading.value_m, predicted_m, known=known)
         first, self.sound = not self.sound, True
         if not first and reading.value_m == self.last_value_m:
             # Not the first prediction of the row: that one may have known nothing of the value yet.
@@ -90,30 +97,30 @@ class DisplacementSensor:
                 self.row_began_m, self.row_began_ns = predicted_m, reading.t_ns
             self.same_in_row += 1
         else:
-            if not first and not self.stuck:
+            if not first and not self.stuck and not self.astray:
                 self._learn_noise(reading.value_m - predicted_m, self.last_value_m - self.last_prediction_m)
             self.same_in_row = 0
-        self.last_value_m, self.last_prediction_m = reading.value_m, predicted_m
+        self.last_value_m, self.last_prediction_m, self.last_sound_ns = reading.value_m, predicted_m, reading.t_ns
         self.was_known = known
         self._look_for_freezing(predicted_m)
         return Reading(
             reading.t_ns,
             reading.value_m,
             usable=not self.stuck,
-            trusted=not self.biased,
+            trusted=not (self.biased or self.astray),
             variance_m2=self.noise_m2,
         )
 
     def gated(self, accepted: bool, innovation_m: float, sigma_m: float) -> None:
         """Hear from the filter whether the reading lay within its gate, how far off it was, how sure the filter is."""
-        if self.biased and not self._clears(innovation_m, sigma_m):
+        if self.astray or (self.biased and not self._clears(innovation_m, sigma_m)):
             accepted = False
         self.accepted_in_row = self.accepted_in_row + 1 if accepted else 0
         self.rejected_in_row = 0 if accepted else self.rejected_in_row + 1
         if self.rejected_in_row >= BIASED_READINGS:
             if self.rejected_in_row <= 2 * BIASED_READINGS:
                 self.bias_m = innovation_m if not self.biased else max(self.bias_m, innovation_m, key=abs)
-            self.biased = True
+            self.biased, self.astray = True, False
         elif self.accepted_in_row >= BIASED_READINGS:
             self.biased = False
 
@@ -163,6 +170,16 @@ class DisplacementSensor:
             stood_s = (self.last_ns - self.row_began_ns) * 1e-9 if self.last_ns is not None else 0.0
             # A ram that has just stopped is not recognised at once.
             self.stuck = travelled and self.same_in_row + 1 >= STUCK_READINGS and stood_s > STUCK_S
+
+    def _look_for_jump(self, value_m: float, predicted_m: float, *, known: bool) -> None:
+        """No ram leaps: such a reading, and all that stay where it went, are not believed."""
+        passed_s = (self.last_ns - self.last_sound_ns) * 1e-9 if self.last_ns is not None else 0.0
+        limit_m = max(LEAP_M, LEAP_SIGMAS * sqrt(2.0 * self.noise_m2))
+        self.leapt = self.sound and abs(value_m - self.last_value_m) > limit_m + FASTEST_M_S * passed_s
+        if self.astray:
+            self.astray = abs(value_m - predicted_m - self.before_leap_m) > 0.5 * limit_m
+        elif self.leapt and known and self.was_known and not self.stuck and not self.biased:
+            self.astray, self.before_leap_m = True, self.last_value_m - self.last_prediction_m
 
     def _learn_noise(self, residual_m: float, last_residual_m: float) -> None:
         """Half the mean square of successive differences: blind to scale, offset and bow."""

@@ -130,6 +130,10 @@ class Filter:
         g = self.state
         g.measure(((SPEED, 1.0),), speed_m_s - g.x[SPEED], sigma_m_s**2)
 
+    def begin_burst(self, vibration_m_s2: float) -> None:
+        """From here on v holds the velocity of the vibration, too, less what it is just now."""
+        self.state.diffuse(V, (VIBRATION_VELOCITY_S * vibration_m_s2) ** 2)
+
     def burst(self, dt_s: float, acceleration_m_s2: float) -> None:
         """VVM: integrate the levelled acceleration."""
         self._integrate(dt_s, acceleration_m_s2, ACCEL_NOISE)
@@ -176,10 +180,10 @@ class Filter:
         """ZUPT through a short gap: had a move begun in it, this is how far it might have come."""
         self.state.diffuse(P, (UNWATCHED_SPEED_M_S * dt_s) ** 2)
 
-    def stopped(self, vibration_m_s2: float) -> None:
-        """v = 0 at the end of the stop burst corrects the path through it; V has been told by the burst as a whole."""
+    def stopped(self, vibration_m_s2: float, ringing_m_s: float = 0.0) -> None:
+        """v = 0 after the stop corrects the path through its burst; V has been told by the burst as a whole."""
         g = self.state
-        variance = STOPPED_SIGMA_M_S**2 + (VIBRATION_VELOCITY_S * vibration_m_s2) ** 2
+        variance = STOPPED_SIGMA_M_S**2 + (VIBRATION_VELOCITY_S * vibration_m_s2) ** 2 + ringing_m_s**2
         g.measure(((V, 1.0),), -g.x[V], variance, hold=_OUTLASTING)
 
     def begin_free(self) -> None:

@@ -47,6 +47,7 @@ WARM_UP_S = 3.0  # gyro bias and level must be known before a burst can be told 
 SILENT_IMU_S = 0.25
 FIRST_SAMPLE_S = 2.0  # a sensor that is being started is not silent yet
 SENSOR_CHANCE_S = 2.0
+SOFT_START_S = 0.35  # its onset lies so much before the time at which a ram of even speed would have left
 UPSET_LOOK_BACK_S = 0.5  # an unexplained motion began before it was too large to explain
 FELT_WITHIN_S = 2.0
 SHOWN_SHARE = (0.4, 1.6)  # of the usual speed: more or less is no move of the ram
@@ -169,6 +170,8 @@ class Pipeline:
         known = s.head.filter.state.sigma(P) < KNOWN_SIGMA_M
         judged = s.sensor.judge(reading, predicted_m, known=known)
         s.pending.append(judged)
+        if s.sensor.leapt:
+            s.slope.clear()
         if judged.usable:
             s.slope.add(reading.t_ns, reading.value_m)
         if s.sensor.stuck and not was_stuck:
@@ -310,6 +313,9 @@ class Pipeline:
         state, stroke_m = s.head.filter.state, self._support.stroke_mm / 1e3
         p, sigma = state.x[P], state.sigma(P)
         known = sigma < KNOWN_SIGMA_M
+        motion = s.recogniser.motion
+        if motion is not None and not motion.confirmed and s.head.phase is not Phase.REST:
+            p = s.head.start_m  # where the move that is only proposed would lead says nothing against another
         end_m = stroke_m if s.head.direction > 0 else 0.0
         near_m = 3.0 * sqrt(sigma**2 + (0.02 * abs(p - s.head.start_m)) ** 2)
         return Context(
@@ -337,7 +343,7 @@ class Pipeline:
         direction = 1 if speed > 0 else -1
         resting_m = s.settled.filter.displacement_prediction(0.0)[0]
         before_s = (s.slope.mean() - resting_m) / speed  # of the middle of the window
-        onset_ns = s.slope.middle_ns() - round((before_s + self._latency_s) * 1e9)
+        onset_ns = s.slope.middle_ns() - round((before_s + self._latency_s + SOFT_START_S) * 1e9)
         return Motion(direction, onset_ns, slow=True)
 
     def _could_be_felt(self, speed_m_s: float) -> bool:

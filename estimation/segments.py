@@ -39,13 +39,14 @@ UNSTARTED_AFTER_S = 2.0  # an event: its side lobes look like anything
 EXPECTED_END = 5.0  # on, for a stop where the stroke ends
 STOP_ODDS = 2.0  # on, for a stop: a faltering pump is rarer
 QUIET_ODDS = 3.0  # most that the vibration may say for or against a stop
-CANDIDATE_EVIDENCE = 4.0  # a start that was not sure enough is remembered from here on
+CANDIDATE_EVIDENCE = 2.0  # a start that was not sure enough is remembered from here on
 
 CONFIRM_AFTER_S = 0.75
 CONFIRM_SLOW_AFTER_S = 0.8
 CONFIRM_STOP_AFTER_S = 1.3
 SEARCH_S = 0.3  # the refined time lies this close to the proposed one
-FIT_SLACK_S = 0.15  # a fit that lies farther from the kernel's answer has found something else
+SLOW_SEARCH_S = 1.0  # a side lobe of a slow start is proposed so much late
+FIT_SLACK_S, SLOW_FIT_SLACK_S = 0.15, 0.8  # a fit that lies farther from the guess has found something else
 STOP_NOT_BEFORE_S = 0.6  # after the onset: the burst rings until then
 STOP_NOT_BEFORE_SLOW_S = 1.3
 STOP_KERNEL_BIAS_S = 0.06  # its largest answer comes so much before the start of deceleration
@@ -253,9 +254,13 @@ class SegmentRecogniser:
             if self._accept(step, sustained, 0.55, CONFIRM_EVIDENCE, bank, context, slow=False):
                 return Decision.START_CONFIRMED
         speed = context.speed(motion.direction)
-        if sharp is None or abs(sharp.x) < 0.75 * speed:
+        sharp_sign = 0 if sharp is None else 1 if sharp.x > 0 else -1
+        if sharp is None or abs(sharp.x) < 0.75 * context.speed(sharp_sign):
+            # Beside a clear step of the other sign it can only be a start of that sign, whose side lobe was proposed.
+            only = sharp_sign if sharp is not None and -sharp.x * motion.direction > 0.5 * speed else 0
+            before_s = SLOW_SEARCH_S if only else SEARCH_S
             for kernel in SLOW_KERNELS[::-1]:
-                slow = self._largest(bank, kernel, motion.onset_ns, 1.0)
+                slow = self._largest(bank, kernel, motion.onset_ns, 1.0, only, before_s=before_s)
                 if slow is None or slow.t_ns - self.last_event_ns < SLOW_QUIET_AFTER_STOP_S * 1e9:
                     continue
                 sign = 1 if slow.x > 0 else -1
@@ -267,7 +272,11 @@ class SegmentRecogniser:
             if t_ns < motion.onset_ns + round(2.6e9) and context.shown is None:
                 return None
         if context.shown is not None:
-            self._begin(replace(context.shown, confirmed=True))
+            # What was felt, if not surely, tells the time better.
+            felt = not motion.slow and motion.direction == context.shown.direction
+            begun = motion if felt else context.shown
+            onset_ns, burst = self._refined_start(begun.onset_ns, begun.direction, bank, context, slow=begun.slow)
+            self._begin(replace(begun, onset_ns=onset_ns, start_burst=burst, confirmed=True))
             return Decision.START_CONFIRMED
         self.motion = None
         self.ignore_before_ns = motion.onset_ns + round(SEARCH_S * 1e9)
@@ -297,16 +306,21 @@ class SegmentRecogniser:
             sustained_evidence(sustained.x * direction, sustained.sigma, speed) < -SUSTAINED_EVIDENCE
         ):
             return False
-        onset_ns = step.t_ns + round(bank.dt_s * 1e9)
-        prior = SLOW_START if slow else START
-        burst = fit_burst(bank.view(resting=True, delay_s=context.delay_s), prior, onset_ns, stop=False)
-        slack_ns = (0.8 if slow else FIT_SLACK_S) * 1e9
-        if burst is not None and (abs(burst.t_ns - onset_ns) > slack_ns or burst.step_m_s * direction < 0.5 * speed):
-            burst = None
-        if burst is not None:
-            onset_ns = burst.t_ns
+        guess_ns = step.t_ns + round(bank.dt_s * 1e9)
+        onset_ns, burst = self._refined_start(guess_ns, direction, bank, context, slow=slow)
         self._begin(Motion(direction, onset_ns, slow=slow, confirmed=True, start_burst=burst))
         return True
+
+    def _refined_start(
+        self, guess_ns: int, direction: int, bank: StepBank, context: Context, *, slow: bool
+    ) -> tuple[int, Burst | None]:
+        prior = SLOW_START if slow else START
+        burst = fit_burst(bank.view(resting=True, delay_s=context.delay_s), prior, guess_ns, stop=False)
+        slack_ns = (SLOW_FIT_SLACK_S if slow else FIT_SLACK_S) * 1e9
+        least_m_s = 0.5 * context.speed(direction)
+        if burst is None or abs(burst.t_ns - guess_ns) > slack_ns or burst.step_m_s * direction < least_m_s:
+            return guess_ns, None
+        return burst.t_ns, burst
 
     def _begin(self, motion: Motion) -> None:
         self.motion = motion
@@ -390,16 +404,16 @@ class SegmentRecogniser:
         if strength - max(as_start, 0.0) < UNSTARTED:
             return False
         largest = self._largest(bank, Kernel.STOP_LATE, t_ns, SEARCH_S, sign=-direction, judged_too=True)
-        if largest is None or self._slower(bank, t_ns, abs(x), sign=-direction):
+        if largest is None or self._slower(bank, t_ns, abs(x), -direction, context):
             return False
         beside = self._largest(bank, Kernel.START_WHOLE, t_ns, 0.5, judged_too=True)
         if beside is not None and abs(beside.x) > 1.4 * speed:
             return False  # the side lobe of a larger step
-        opposite = self._largest(bank, Kernel.START_WHOLE, t_ns, 0.5, sign=direction, judged_too=True)
-        if opposite is not None and opposite.x * direction > 0.7 * abs(x):
-            return False  # one side of a blow
+        if self._is_pulse(bank, largest.t_ns, abs(largest.x), -direction):
+            return False
         sustained = self._beside(bank, Kernel.STOP_SUSTAINED, largest)
-        if sustained_evidence(-sustained.x * direction, sustained.sigma, speed) < SUSTAINED_EVIDENCE:
+        surely = sustained_evidence(-sustained.x * direction, sustained.sigma, speed) + _quiet_evidence(bank, largest)
+        if surely < SUSTAINED_EVIDENCE:
             return False
         stop_ns, burst = self._refined_stop(largest, direction, speed, bank, context)
         onset_ns, resumes_ns = self._missed_onset(direction, stop_ns, context)
@@ -417,13 +431,29 @@ class SegmentRecogniser:
         self.candidates.clear()
         return True
 
-    def _slower(self, bank: StepBank, t_ns: int, size: float, sign: int) -> bool:
+    def _slower(self, bank: StepBank, t_ns: int, size: float, sign: int, context: Context) -> bool:
         """Whether a slow start nearby explains more than a sharp step of that size."""
+        speed = context.speed(sign)
         for kernel in SLOW_KERNELS:
             slow = self._largest(bank, kernel, t_ns, 0.6, sign, judged_too=True)
-            if slow is not None and size < SHARP_SHARE * slow.x * sign:
+            if slow is None or not size < SHARP_SHARE * slow.x * sign < SHARP_SHARE * 1.9 * speed:
+                continue
+            if evidence(slow.x * sign, slow.sigma, speed, 0.13) - context.penalty(sign) > CONFIRM_SLOW_EVIDENCE:
                 return True
         return False
+
+    def _is_pulse(self, bank: StepBank, t_ns: int, size: float, sign: int) -> bool:
+        """Whether this is one side of a blow: on one side of it a step back of nearly that size.
+
+        The side lobes of a step that rings lie on both sides.
+        """
+        sides = []
+        for middle_s in (-0.25, 0.25):
+            lobe = self._largest(
+                bank, Kernel.START_WHOLE, t_ns + round(middle_s * 1e9), 0.25, -sign, before_s=0.25, judged_too=True
+            )
+            sides.append(0.0 if lobe is None else max(-lobe.x * sign, 0.0))
+        return max(sides) > 0.7 * size and min(sides) < 0.5 * max(sides)
 
     def _missed_onset(self, direction: int, stop_ns: int, context: Context) -> tuple[int, int | None]:
         """When the move went on whose stop has been found, and when it began if the last stop was none.
@@ -442,7 +472,15 @@ class SegmentRecogniser:
     # --- history ----------------------------------------------------------------------------------------------
 
     def _largest(
-        self, bank: StepBank, kernel: Kernel, t_ns: int, after_s: float, sign: int = 0, *, judged_too: bool = False
+        self,
+        bank: StepBank,
+        kernel: Kernel,
+        t_ns: int,
+        after_s: float,
+        sign: int = 0,
+        *,
+        before_s: float = SEARCH_S,
+        judged_too: bool = False,
     ) -> _Step | None:
         """The largest step that one kernel has seen near a time: of one sign, or (0) of either."""
         times = np.fromiter(bank.times_ns, dtype=np.int64)
@@ -452,7 +490,7 @@ class SegmentRecogniser:
             return None
         event_times = times[:judged]
         x = bank.x.values[-judged:, kernel]
-        earliest_ns = t_ns - SEARCH_S * 1e9
+        earliest_ns = t_ns - before_s * 1e9
         if not judged_too:
             earliest_ns = max(earliest_ns, self.ignore_before_ns)
         near = (event_times >= earliest_ns) & (event_times <= t_ns + after_s * 1e9)

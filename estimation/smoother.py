@@ -11,6 +11,7 @@ from __future__ import annotations
 from array import array
 from collections.abc import Sequence
 from math import inf, sqrt
+from operator import mul
 from typing import NamedTuple, TypeAlias
 
 from estimation.gaussian import Gaussian, Row
@@ -165,4 +166,5 @@ class Adjoint:
 
 
 def _dot(a: Sequence[float], b: Sequence[float]) -> float:
-    return sum(x * y for x, y in zip(a, b, strict=True))
+    total: float = sum(map(mul, a, b))
+    return total

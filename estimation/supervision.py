@@ -10,7 +10,8 @@ from estimation.track import Step, Track
 UPSET_STEP = 2.5  # times the fastest usual speed
 UPSET_ACCELERATION_M_S2 = 5.0  # filtered; a ram's burst stays below
 UPSET_RATE_RAD_S = 0.35
-UPSET_VIBRATION_M_S2 = 1.2  # rms; no step can be told from so much
+# rms; no step can be told from so much. A move that is known already may shake more: a rough floor reaches 1.2 m/s^2.
+UPSET_VIBRATION_M_S2, UPSET_VIBRATION_MOVING_M_S2 = 1.2, 1.8
 CALM_S = 0.7
 CALM_SIGMAS = 6.0  # of the chart's rest baseline
 CALM_ACCELERATION_M_S2 = 0.08
@@ -41,12 +42,14 @@ class Supervisor:
 
     def upset(self, step: Step, track: Track) -> bool:
         """Is this a motion that no ram makes?"""
+        vibration_m_s2 = UPSET_VIBRATION_MOVING_M_S2
         if track.phase is Phase.REST:
             self.limit_m_s2 = max(CALM_ACCELERATION_M_S2, CALM_SIGMAS * track.chart.sigma)
+            vibration_m_s2 = UPSET_VIBRATION_M_S2
         fastest = max(track.usual_speed(1), track.usual_speed(-1))
         return (
             abs(step.step_m_s) > UPSET_STEP * fastest
             or abs(track.acceleration_m_s2 - track.chart.centre) > UPSET_ACCELERATION_M_S2
             or max(map(abs, step.gyro)) > UPSET_RATE_RAD_S
-            or step.vibration_m_s2 > UPSET_VIBRATION_M_S2
+            or step.vibration_m_s2 > vibration_m_s2
         )

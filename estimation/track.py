@@ -21,6 +21,8 @@ from estimation.segments import Motion
 from estimation.settings import EstimatorSettings
 
 SPEED_REACHED_S, SLOW_SPEED_REACHED_S = (0.55, 0.7, 0.85), (1.2, 1.35, 1.5)
+NEARLY_STOPPED_S = (0.35, 0.5)
+RINGING_SHARE = 0.1  # of the speed, so soon after a stop
 LEVEL_TIME_S = 3.0
 GYRO_BIAS_TIME_S = 10.0
 CHART_QUIET_S = 0.5
@@ -173,7 +175,7 @@ class Track:
             self.filter.free(step.dt_s, acceleration, step.vibration_m_s2)
         else:
             self.filter.burst(step.dt_s, acceleration)
-            if self.phase is Phase.START and motion is not None:
+            if motion is not None:
                 self._check_speed(step, motion)
 
     def _orient(self, step: Step, resting: bool) -> None:
@@ -205,6 +207,9 @@ class Track:
             if motion is not None and motion.start_burst is not None:
                 self.filter.hear_burst(motion.start_burst.step_m_s, motion.start_burst.sigma_m_s)
             self.filter.enter_cruise()
+        elif phase in (Phase.START, Phase.STOP):
+            self.speed_checks = 0
+            self.filter.begin_burst(step.vibration_m_s2)
         elif phase in (Phase.FREE, Phase.UNFELT):
             self.lost_in_move = self.phase in moving
             self.readings_in_move = 0
@@ -224,7 +229,6 @@ class Track:
         self.direction = motion.direction
         if motion.resumes_ns is None or self.ending is None:
             self.start_m = self.filter.state.x[P]
-        self.speed_checks = 0
         self.nis, self.worst_nis, self.readings_in_move, self.rejected_in_move = 1.0, 1.0, 0, 0
         self.remembered = self.filter.state.block(LEARNED)
         self.filter.begin_move(motion.direction, settings.speed_sigma_cycle)
@@ -235,10 +239,19 @@ class Track:
             self.filter.lose_way(motion.direction)
 
     def _check_speed(self, step: Step, motion: Motion) -> None:
-        checks = SLOW_SPEED_REACHED_S if motion.slow else SPEED_REACHED_S
-        if self.speed_checks < len(checks) and step.t_ns - motion.onset_ns >= checks[self.speed_checks] * 1e9:
-            self.speed_checks += 1
+        """Late in a burst the speed is known again, but for what still rings."""
+        checks: tuple[float, ...]
+        if self.phase is Phase.START:
+            checks, since_ns = SLOW_SPEED_REACHED_S if motion.slow else SPEED_REACHED_S, motion.onset_ns
+        else:
+            checks, since_ns = NEARLY_STOPPED_S, motion.stop_ns or step.t_ns
+        if self.speed_checks == len(checks) or step.t_ns - since_ns < checks[self.speed_checks] * 1e9:
+            return
+        self.speed_checks += 1
+        if self.phase is Phase.START:
             self.filter.speed_reached(step.vibration_m_s2)
+        else:
+            self.filter.stopped(step.vibration_m_s2, RINGING_SHARE * self.filter.state.x[SPEED])
 
     def _come_to_rest(self, motion: Motion | None, step: Step) -> None:
         if motion is not None and motion.stop_burst is not None:

@@ -4,26 +4,30 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from daemon import terminal
-from daemon.offline.evaluation import MODES, evaluate, records_of
+from daemon.offline.evaluation import evaluate, records_of
 from daemon.offline.evaluation_score import Case
 from daemon.offline.evaluation_summary import summarise, summarise_clock
 from daemon.offline.replay import replay
+from daemon.offline.scenarios import SCENARIOS_OF_EVALUATION
 from daemon.recording.metadata import describe
 from daemon.recording.reader import Recording
 from daemon.recording.recover import recover
 from daemon.recording.topics import IMU_RAW
 from daemon.recording.writer import RecordingWriter
 from daemon.simulation.demo import demo_settings, run_demo
+from drivers.virtual.motion import RATE_HZ
 from drivers.virtual.support import VirtualSupport
 from estimation.pipeline import Pipeline, Start
+from estimation.records import ImuSample
 
 SEEDS = range(1, 11)
+MODES = SCENARIOS_OF_EVALUATION["nominal"].modes
 
 
 def _cpu_s(work: Callable[[], object]) -> float:
@@ -32,32 +36,44 @@ def _cpu_s(work: Callable[[], object]) -> float:
     return time.process_time() - began
 
 
-def _textbook_kalman(samples: int) -> None:
-    """Three states, predict and update, as numpy matrices: the yardstick."""
-    dt = 1 / 819.2
-    f = np.array([[1, dt, dt * dt / 2], [0, 1, dt], [0, 0, 1]])
-    h = np.array([[1.0, 0.0, 0.0]])
-    q, r = np.eye(3) * 1e-6, np.eye(1) * 1e-5
-    x, p = np.zeros((3, 1)), np.eye(3)
-    for _ in range(samples):
-        x, p = f @ x, f @ p @ f.T + q
-        gain = p @ h.T @ np.linalg.inv(h @ p @ h.T + r)
-        x, p = x + gain @ (0.1 - h @ x), (np.eye(3) - gain @ h) @ p
+def _filterpy_steps(count: int) -> None:
+    """Predict and update of three states (position, velocity, acceleration) with the well-known library."""
+    from filterpy.kalman import KalmanFilter
+
+    dt = 1 / RATE_HZ
+    kalman = KalmanFilter(dim_x=3, dim_z=1)
+    kalman.F = np.array([[1, dt, dt * dt / 2], [0, 1, dt], [0, 0, 1]])
+    kalman.H = np.array([[1.0, 0.0, 0.0]])
+    kalman.Q, kalman.R = np.eye(3) * 1e-6, np.eye(1) * 1e-5
+    for _ in range(count):
+        kalman.predict()
+        kalman.update(0.1)
+
+
+def _vqf_updates(samples: Sequence[ImuSample]) -> None:
+    """Orientation alone, compiled."""
+    from vqf import VQF
+
+    orientation = VQF(1 / RATE_HZ)
+    for sample in samples:
+        orientation.update(np.array(sample.gyro), np.array(sample.accel))
 
 
 def _speed(folder: Path) -> None:
     made = terminal.table("Speed, CPU time", "what", "per inertial sample", "× real time")
 
     def row(what: str, cpu_s: float, samples: int) -> None:
-        made.add_row(what, f"{cpu_s / samples * 1e6:.1f} µs", f"{samples / 819.2 / cpu_s:.0f}")
+        made.add_row(what, f"{cpu_s / samples * 1e6:.1f} µs", f"{samples / RATE_HZ / cpu_s:.0f}")
 
     support = VirtualSupport(1, cycles=1)
     records = list(records_of(support, support.observations()))
-    samples = sum(1 for record in records if hasattr(record, "gyro"))
+    inertial = [record for record in records if isinstance(record, ImuSample)]
+    samples = len(inertial)
     Pipeline.prepare()
     pipeline = Pipeline(start=Start(0.0))
     row("estimator", _cpu_s(lambda: [pipeline.feed(record) for record in records]), samples)
-    row("3-state Kalman step, numpy matrices", _cpu_s(lambda: _textbook_kalman(20_000)), 20_000)
+    row("filterpy, 3-state predict and update", _cpu_s(lambda: _filterpy_steps(20_000)), 20_000)
+    row("vqf, orientation update", _cpu_s(lambda: _vqf_updates(inertial)), samples)
 
     recording = folder / "demo.mcap"
     row(
@@ -77,7 +93,7 @@ def _speed(folder: Path) -> None:
 
     row("writing the bursts", _cpu_s(write), len(bursts))
     terminal.OUT.print(made)
-    hours = samples / 819.2 / 3600
+    hours = samples / RATE_HZ / 3600
     terminal.OUT.print(f"recording: {recording.stat().st_size / hours / 1e6:.0f} MB an hour")
 
 

@@ -19,7 +19,10 @@ EXAMPLE = "ramstroke evaluate --scenario partial --seeds 1:31 --warm 4 --jobs 2"
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.add_argument(
-        "--scenario", default="nominal", metavar="NAME", help="one of the library, `all`, or `list` to see them"
+        "--scenario",
+        default="nominal",
+        metavar="NAME,...",
+        help="of the library, separated by commas; `all`, or `list` to see them",
     )
     parser.add_argument(
         "--seeds", type=_seeds, default=range(1, 11), metavar="A:B", help="from A to before B (default 1:11)"
@@ -51,7 +54,8 @@ def run(arguments: argparse.Namespace) -> int:
     from dataclasses import asdict
 
     from daemon import terminal
-    from daemon.offline.evaluation import MODES, evaluate
+    from daemon.errors import UsageError
+    from daemon.offline.evaluation import evaluate
     from daemon.offline.evaluation_score import Case
     from daemon.offline.scenarios import SCENARIOS_OF_EVALUATION
 
@@ -61,10 +65,19 @@ def run(arguments: argparse.Namespace) -> int:
             made.add_row(name, scenario.about)
         terminal.OUT.print(made)
         return 0
-    names = list(SCENARIOS_OF_EVALUATION) if arguments.scenario == "all" else [_known(arguments.scenario)]
+    named = SCENARIOS_OF_EVALUATION if arguments.scenario == "all" else arguments.scenario.split(",")
+    names = list(dict.fromkeys(_known(name.strip()) for name in named))
     _check(arguments)
-    modes = MODES[1:] if arguments.no_can else MODES
-    cases = [Case(name, seed, mode, arguments.warm) for name in names for mode in modes for seed in arguments.seeds]
+    cases = [
+        Case(name, seed, mode, arguments.warm)
+        for name in names
+        for mode in SCENARIOS_OF_EVALUATION[name].modes
+        for seed in arguments.seeds
+        if mode == "inertial" or not arguments.no_can
+    ]
+    if not cases:
+        raise UsageError("--no-can leaves nothing: these scenarios are about the displacement sensor")
+    names = list(dict.fromkeys(case.scenario for case in cases))
     with terminal.progress("virtual supports", len(cases)) as progress:
         results = evaluate(cases, arguments.jobs, progress)
     failures = [result for result in results if result.failure]
@@ -156,6 +169,7 @@ def _print(rows: dict[str, dict[str, dict[str, Any]]], arguments: argparse.Names
         "smoothed",
         "95 % holds",
         "NEES",
+        "NIS",
         "onset ms",
         "stop ms",
         "failed",
@@ -175,7 +189,7 @@ def _print(rows: dict[str, dict[str, dict[str, Any]]], arguments: argparse.Names
                 name,
                 *(_figure(row, f"{key}_mm", 1) for key in ("median", "p95", "worst", "rms")),
                 *(_figure(row, key, 1) for key in ("rmse_median_mm", "smoothed_rmse_median_mm")),
-                *(_figure(row, key, 2) for key in ("coverage_95", "nees")),
+                *(_figure(row, key, 2) for key in ("coverage_95", "nees", "nis")),
                 *(f"{_figure(row, f'{e}_median_ms', 0)} | {_figure(row, f'{e}_p95_ms', 0)}" for e in ("onset", "stop")),
                 f"{row['failures']} of {row['records']}",
             )

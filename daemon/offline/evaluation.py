@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import multiprocessing
 import signal
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import replace
+from itertools import dropwhile, takewhile
 from math import nan
 
 import numpy as np
@@ -21,6 +23,7 @@ from daemon.offline.scenarios import EvaluationScenario
 from drivers.adis16448.registers import ACCEL_LSB, GYRO_LSB_DPS
 from drivers.virtual.adis16448_signal import HISTORY, FilterPath
 from drivers.virtual.controller import Observation
+from drivers.virtual.motion import RATE_HZ
 from drivers.virtual.support import PlacedTrajectory, VirtualSupport
 from estimation.pipeline import Pipeline, Start
 from estimation.records import Displacement, ImuSample, Move, Output, Record
@@ -28,7 +31,6 @@ from estimation.settings import MountSettings
 from estimation.settled_smoother import SettledSmoother, SmoothedStep
 
 FILTER_TAPS_EXPONENT, GYRO_RANGE_DPS = 2, 500  # the driver's defaults
-MODES = ("fused", "inertial")
 
 
 def records_of(support: VirtualSupport, readings: Iterable[Observation]) -> Iterator[Record]:
@@ -87,16 +89,20 @@ def virtual_support(case: Case) -> VirtualSupport:
     )
 
 
-def evaluate_case(case: Case) -> SeedResult:
-    """Play the support, estimate, compare."""
+def evaluate_case(case: Case, warmed_up: bytes | None = None) -> SeedResult:
+    """Play the support, estimate, compare; `warmed_up`: the pipeline's snapshot after the warm-up, if it is known."""
     scenario, support = SCENARIOS[case.scenario], virtual_support(case)
     judged = support.placed(case.warm_up)
-    pipeline = Pipeline(mount=MountSettings(imu_on=scenario.imu_on), start=Start(0.0))
+    records = records_of(support, _readings(support, scenario, judged, fused=case.mode == "fused"))
+    pipeline = _pipeline(case)
+    if case.warm_up:
+        pipeline.restore(_warm_up(case) if warmed_up is None else warmed_up)
+        records = dropwhile(lambda record: not _is_judged(record, judged), records)
     steps: list[SmoothedStep] = []
     smoother = SettledSmoother(pipeline, steps.append)
     outputs: list[Output] = []
     told_s: dict[int, float] = {}
-    for record in records_of(support, _readings(support, scenario, judged, fused=case.mode == "fused")):
+    for record in records:
         for out in pipeline.feed(record):
             outputs.append(out)
             if isinstance(out, Move):
@@ -123,29 +129,63 @@ def evaluate_case(case: Case) -> SeedResult:
     return SeedResult(case, failure, scores, [clock_error_mm(true) for true in truth], rest_s, false_moves)
 
 
+def _pipeline(case: Case) -> Pipeline:
+    return Pipeline(mount=MountSettings(imu_on=SCENARIOS[case.scenario].imu_on), start=Start(0.0))
+
+
+def _is_judged(record: Record, judged: PlacedTrajectory) -> bool:
+    # A sample between the last cycle's end and this one's start is of this one.
+    return record.t_ns * 1e-9 > judged.start_s - 1 / RATE_HZ
+
+
+def _warm_up(case: Case) -> bytes:
+    """What the pipeline is after the warm-up, which has the displacement sensor in its plain state."""
+    support, pipeline = virtual_support(case), _pipeline(case)
+    judged = support.placed(case.warm_up)
+    for record in takewhile(lambda record: not _is_judged(record, judged), records_of(support, support.observations())):
+        pipeline.feed(record)
+    return pipeline.snapshot()
+
+
 def evaluate(cases: Sequence[Case], jobs: int = 1, progress: Callable[[int], None] | None = None) -> list[SeedResult]:
     """All cases, in their order; the same results whatever `jobs` is."""
     done: dict[Case, SeedResult] = {}
-    if jobs == 1:
-        for case in cases:
-            done[case] = evaluate_case(case)
-            if progress is not None:
-                progress(len(done))
-    else:
-        with ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"), _end_on_interrupt) as pool:
-            try:
-                futures = {pool.submit(evaluate_case, case): case for case in cases}
-                for future in as_completed(futures):
-                    done[futures[future]] = future.result()
-                    if progress is not None:
-                        progress(len(done))
-            except BaseException:
-                # Nobody waits for what is queued or half done.
-                pool.shutdown(wait=False, cancel_futures=True)
-                for worker in multiprocessing.active_children():
-                    worker.terminate()
-                raise
+    for results in _evaluated(_with_one_warm_up(cases), jobs):
+        done |= {result.case: result for result in results}
+        if progress is not None:
+            progress(len(done))
     return [done[case] for case in cases]
+
+
+def _with_one_warm_up(cases: Sequence[Case]) -> list[list[Case]]:
+    """Cases whose support does the same before it is judged, together; without a warm-up each alone."""
+    groups: dict[Hashable, list[Case]] = {}
+    for case in cases:
+        key = replace(SCENARIOS[case.scenario], about="", script=(), tampering=None), case.seed, case.warm_up
+        groups.setdefault(key if case.warm_up else case, []).append(case)
+    return list(groups.values())
+
+
+def _evaluate_group(cases: Sequence[Case]) -> list[SeedResult]:
+    warmed_up = _warm_up(cases[0]) if cases[0].warm_up else None
+    return [evaluate_case(case, warmed_up) for case in cases]
+
+
+def _evaluated(groups: list[list[Case]], jobs: int) -> Iterator[list[SeedResult]]:
+    """Their results, as they come."""
+    if jobs == 1:
+        yield from map(_evaluate_group, groups)
+        return
+    with ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"), _end_on_interrupt) as pool:
+        try:
+            for future in as_completed([pool.submit(_evaluate_group, group) for group in groups]):
+                yield future.result()
+        except BaseException:
+            # Nobody waits for what is queued or half done.
+            pool.shutdown(wait=False, cancel_futures=True)
+            for worker in multiprocessing.active_children():
+                worker.terminate()
+            raise
 
 
 def _end_on_interrupt() -> None:

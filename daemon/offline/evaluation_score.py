@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from daemon.offline.scenarios import EvaluationScenario
 from drivers.virtual.motion import TrueMove
 from drivers.virtual.support import VirtualSupport
-from estimation.records import Estimate, Event, Move, MoveKind, Output, Tier
+from estimation.displacement_sensor import GATE_SIGMAS
+from estimation.records import CanState, Estimate, Event, Move, MoveKind, Output, Tier
 from estimation.settings import SupportSettings
 from estimation.settled_smoother import SmoothedStep
 
@@ -54,6 +55,7 @@ class MoveScore:
     proposed_s: float  # after the onset; NaN if another way
     confirmed_s: float
     told_s: float  # the whole move, after its stop
+    nis: float  # mean squared innovation of the readings used in the move, in their sigmas; NaN without any
     # At one instant drawn between onset and 2 s after the stop: one value a move, so that moves are independent.
     provisional: Instant
     settled: Instant
@@ -99,6 +101,7 @@ class Run:
         self._speed_off_m_s = np.array([step.settled.velocity_m_s for step in steps]) - np.interp(
             self._t_s, self._true_s, self._true_m_s
         )
+        self._nis = np.array([_nis(step.settled) for step in steps])
         self._smoothed_m = np.array([step.displacement_m for step in steps]) - true_m
         self._smoothed_inside = np.abs(self._smoothed_m) <= SIGMAS_95 * np.array([step.sigma_m for step in steps])
 
@@ -138,6 +141,7 @@ class Run:
             proposed_s=self._event_s("start proposed", onset_s),
             confirmed_s=self._event_s("start confirmed", onset_s),
             told_s=told_s - stop_s,
+            nis=float(np.mean(nis)) if len(nis := self._nis[during & np.isfinite(self._nis)]) else nan,
             provisional=self._at(self._provisional, at_s),
             settled=self._at(self._settled, at_s),
         )
@@ -157,6 +161,13 @@ class Run:
         estimate = estimates[place]
         true_m = float(np.interp(estimate.t_ns * 1e-9, self._true_s, self._true_m))
         return _instant(estimate.displacement_m, true_m, estimate.sigma_m)
+
+
+def _nis(estimate: Estimate) -> float:
+    """Of the reading that was used in this step; NaN if none was."""
+    if estimate.can_state not in (CanState.OK, CanState.LATE) or not abs(estimate.innovation_m) <= estimate.gate_m:
+        return nan
+    return (GATE_SIGMAS * estimate.innovation_m / estimate.gate_m) ** 2
 
 
 def _instant(stated_m: float, true_m: float, sigma_m: float) -> Instant:

@@ -36,6 +36,7 @@ def summarise(results: list[SeedResult], index: int) -> dict[str, Any]:
         "smoothed_inside_95": float(np.mean([score.smoothed_inside_95 for score in scores])),
         "coverage_95": float(np.mean(np.abs(normalised) <= SIGMAS_95)),
         "nees": float(np.mean(normalised**2)),
+        **_mean("nis", [score.nis for score in scores]),
         **_median_p95("onset", "ms", [score.onset_error_ms for score in scores]),
         **_median_p95("stop", "ms", [score.stop_error_ms for score in scores]),
         **_median_p95("proposed", "s", [score.proposed_s for score in scores]),
@@ -70,6 +71,11 @@ def _ratio_interval(ours: NDArray[np.float64], clock: NDArray[np.float64]) -> li
     drawn = rng.integers(0, len(ours), (2000, len(ours)))
     ratio = np.sqrt((ours[drawn] ** 2).mean(axis=1) / np.maximum((clock[drawn] ** 2).mean(axis=1), 1e-12))
     return [float(x) for x in np.percentile(ratio, [2.5, 97.5])]
+
+
+def _mean(name: str, values: Sequence[float]) -> dict[str, float]:
+    finite = np.array(values)[np.isfinite(values)]
+    return {name: float(finite.mean())} if len(finite) else {}
 
 
 def _median_p95(name: str, unit: str, values: Sequence[float]) -> dict[str, float]:

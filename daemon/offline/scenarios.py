@@ -39,6 +39,11 @@ class EvaluationScenario:
     time_tolerance_s: float = 0.3  # an onset or stop farther off is a failure
     only_rest: bool = False  # the wait is judged: a move found before the script's first is a false one
 
+    @property
+    def modes(self) -> tuple[str, ...]:
+        """With and without the displacement sensor; what is done to its readings needs it."""
+        return ("fused", "inertial") if self.tampering is None else ("fused",)
+
     def felt(self, move: TrueMove) -> bool:
         """Whether the part that carries the inertial sensor takes part in that move."""
         return self.imu_on == "both" or (self.imu_on == "link") == (move.speed_m_s > 0)

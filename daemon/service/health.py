@@ -65,7 +65,8 @@ class HealthBook:
         if kind_of(entry.condition) == kind_of(entry.logged) or now_s - entry.logged_s < LOG_EVERY_S:
             return
         condition = entry.condition
-        flapping = f" ({entry.untold} changes in the last {now_s - entry.logged_s:.0f} s)" if entry.untold > 1 else ""
+        since_s = max(entry.logged_s, entry.met_s)
+        flapping = f" ({entry.untold} changes in the last {now_s - since_s:.0f} s)" if entry.untold > 1 else ""
         if condition.word is Wellness.WAITING and now_s - entry.met_s < START_UP_S:
             return
         if condition.what:

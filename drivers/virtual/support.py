@@ -91,7 +91,8 @@ class VirtualSupport:
         played = repeat(script or full_cycle(), *(() if cycles is None else (cycles,)))
         count = None if cycles is None else warm_up + cycles
         scripts = chain(repeat(full_cycle(), warm_up), played)
-        self._cycles = _Cycles(Machine(machine, scenario or Scenario()).play(scripts, END_STILLNESS_S), count)
+        self.machine = Machine(machine, scenario or Scenario())
+        self._cycles = _Cycles(self.machine.play(scripts, END_STILLNESS_S), count)
 
     def true_moves(self) -> tuple[TrueMove, ...]:
         """What really happened in the first cycle, times relative to the start."""

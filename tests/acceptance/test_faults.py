@@ -21,7 +21,6 @@ class Expected(NamedTuple):
     readings: float = 0.85  # of the valid readings
     state: str = ""  # of the displacement sensor
     sigma_grows: bool = False
-    honest: bool = True  # whether the error stays within sigma while it lasts
 
 
 def dead(counter: str, said: str) -> Expected:
@@ -52,9 +51,8 @@ EXPECTED = {
     "late_edges": Expected("missed", "samples are missed", samples=0.0),
     "can_silence": mute("", "no frame 0x310 for", "silent"),
     "stuck_value": Expected("", "stands still although the ram moves", state="stuck"),
-    "jump": Expected("", "does not fit the motion", state="biased", honest=False),
-    # As fast as the ram itself: nothing tells it from a faster flow so soon.
-    "drift": Expected(honest=False),
+    "jump": Expected("", "does not fit the motion", state="biased"),
+    "drift": Expected("", "does not fit the motion", state="biased"),
     "noise_burst": Expected(),
     "sensor_error": mute("invalid", "the source says: invalid", "invalid"),
     "delayed": Expected(),
@@ -90,7 +88,7 @@ def test_a_fault_is_counted_said_and_outlived(kind: str, tmp_path: Path) -> None
         assert expected.state in row.states
     if expected.sigma_grows:
         assert row.sigma_mm > 1.5 * row.sigma_without_mm
-    assert not expected.honest or row.worst_sigmas < 4.0
+    assert row.worst_sigmas < 4.0
     assert row.identical
 
 

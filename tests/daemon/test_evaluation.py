@@ -54,6 +54,8 @@ def test_a_nominal_cycle_is_scored_without_failure(fused: SeedResult) -> None:
         assert 0.0 < score.proposed_s < 0.3
         assert score.proposed_s < score.confirmed_s < 1.0
         assert 1.0 < score.told_s < 1.5
+        # Some 500 and 200 readings, white: within 25 % of 1 with more than 2 and 1.5 sigmas; quantised, so not exactly.
+        assert score.nis == pytest.approx(1.0, abs=0.3)
         for instant in (score.provisional, score.settled):
             assert abs(instant.error_mm) < 5 * instant.sigma_mm
     # A cycle's speed lies within 2.5 % (1 sigma) of nominal; the clock is off by as much.
@@ -75,6 +77,26 @@ def test_a_warm_up_comes_before_the_judged_cycle_and_teaches(fused: SeedResult) 
     warm = evaluate_case(case)
     assert warm.failure == ""
     assert scored(warm)[0].sigma_mm < 0.5 * scored(fused)[0].sigma_mm  # the scale of the displacement sensor is known
+
+
+def test_cases_after_one_warm_up_have_the_results_that_each_has_alone() -> None:
+    cases = [Case("partial", 4, "fused", 1), Case("can_dead", 4, "fused", 1), Case("partial", 4, "inertial", 1)]
+    together = evaluate(cases)
+    assert [result.case for result in together] == cases
+    assert repr(together) == repr([evaluate_case(case) for case in cases])  # NaN is never equal
+
+
+@pytest.mark.parametrize(
+    ("scenario", "seed"),
+    [
+        ("weak_burst", 10),  # too soft to be felt, and shown by the displacement sensor
+        ("rough_floor", 40),  # a dip right at the onset, and vibration of 1.2 m/s^2 in the push
+    ],
+)
+def test_with_the_displacement_sensor_hard_moves_have_their_onset_too(scenario: str, seed: int) -> None:
+    result = evaluate_case(Case(scenario, seed, "fused"))
+    assert result.failure == ""
+    assert abs(scored(result)[0].onset_error_ms) < 100
 
 
 def test_what_is_done_to_the_readings_counts_from_the_judged_onset_and_begins_anew_each_time() -> None:
@@ -105,6 +127,7 @@ def score_of(error_mm: float) -> MoveScore:
         proposed_s=float("nan"),
         confirmed_s=0.8,
         told_s=1.2,
+        nis=0.8 + 0.1 * error_mm,
         provisional=Instant(error_mm, 2.0),
         settled=Instant(error_mm, 8.0),
     )
@@ -124,6 +147,7 @@ def test_summary_is_the_plain_statistics_of_the_good_records_and_counts_the_othe
     assert row["rms_mm"] == pytest.approx(np.sqrt(116 / 4))
     assert row["coverage_95"] == 0.75  # 9 mm lies beyond 1.96 x 4 mm
     assert row["nees"] == pytest.approx(116 / 4 / 16)
+    assert row["nis"] == pytest.approx(0.8 - 0.1 * 2.5)
     assert row["provisional_nees"] == pytest.approx(116 / 4 / 4)
     assert row["settled_coverage_95"] == 1.0
     assert row["stop_median_ms"] == 20.0
@@ -177,6 +201,8 @@ def test_command_lists_its_scenarios(capsys: pytest.CaptureFixture[str]) -> None
     ("arguments", "said"),
     [
         (["--scenario", "moon"], "--scenario moon is unknown; --scenario list shows what there is"),
+        (["--scenario", "nominal,moon"], "--scenario moon is unknown"),
+        (["--scenario", "can_dead, can_stuck", "--no-can"], "these scenarios are about the displacement sensor"),
         (["--scenario", "parzial"], "--scenario parzial is unknown; did you mean partial?"),
         (["--jobs", "0"], "--jobs must be at least 1"),
         (["--warm", "-1"], "--warm must lie between 0 and 100 cycles"),

@@ -295,3 +295,46 @@ def test_learned_noise_never_falls_below_the_resolution_nor_explodes_by_a_jump()
     assert math.sqrt(feed.sensor.noise_m2) == pytest.approx(0.0003)
     feed.read(0.5)
     assert math.sqrt(feed.sensor.noise_m2) < 0.0004
+
+
+def test_a_leap_is_believed_from_no_reading_on_and_forgiven_once_it_is_taken_back() -> None:
+    feed = Feed()
+    feed.run(30, speed_m_s=SPEED_M_S)
+    for _ in range(3):
+        feed.p_m += SPEED_M_S * PERIOD_S
+        reading = feed.read(feed.p_m + 0.03)
+        assert reading.usable
+        assert not reading.trusted
+    assert feed.sensor.leapt is False  # it stays where it went
+    assert feed.read(feed.p_m).trusted
+    assert feed.state() is CanState.OK
+
+
+def test_after_a_leap_that_lasts_the_sensor_is_biased_even_within_the_gate() -> None:
+    feed = Feed()
+    feed.run(30)
+    feed.run(BIASED_READINGS, error_m=0.03, accepted=True)
+    assert feed.state() is CanState.BIASED
+    assert feed.sensor.bias_m == pytest.approx(0.03, abs=5 * NOISE_M)
+
+
+@pytest.mark.parametrize("speed_m_s", [0.0145, 0.045])
+def test_no_move_of_a_ram_is_a_leap_even_through_a_pause_of_the_source(speed_m_s: float) -> None:
+    feed = Feed()
+    feed.run(30)
+    for _ in range(5):
+        feed.run(10, speed_m_s=speed_m_s)
+        assert not feed.sensor.leapt
+        feed.t_s += 0.8
+        feed.p_m += 0.8 * speed_m_s
+
+
+def test_leaving_a_frozen_value_is_a_leap_but_no_reason_for_doubt() -> None:
+    feed = Feed()
+    feed.run(30)
+    for _ in range(60):
+        feed.p_m += SPEED_M_S * PERIOD_S
+        feed.read(0.1)
+    assert feed.state() is CanState.STUCK
+    assert feed.read(feed.p_m).trusted
+    assert feed.sensor.leapt

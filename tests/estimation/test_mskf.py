@@ -104,6 +104,12 @@ def test_burst_integrates_the_levelled_acceleration() -> None:
     assert_is(filter_, f @ x + u, f @ p @ f.T + noise)
 
 
+def test_a_burst_begins_with_the_velocity_of_the_vibration_in_doubt() -> None:
+    filter_, x, p = drawn()
+    filter_.begin_burst(0.3)
+    assert_is(filter_, x, p + (0.0092 * 0.3) ** 2 * np.outer(unit(V), unit(V)))
+
+
 def test_cruise_lets_the_velocity_wander_about_its_mean_and_measures_only_the_acceleration_error() -> None:
     filter_, x, p = drawn()
     filter_.state.reset(B, x[B], 4e-6)  # as on entering the cruise
