@@ -17,7 +17,7 @@ from estimation.displacement_sensor import STUCK_READINGS
 from estimation.kernels import Kernel
 from estimation.learned import Learned, Machine
 from estimation.mount import Mount
-from estimation.mskf import SPEED, P, V
+from estimation.mskf import P, V
 from estimation.orientation import matrix
 from estimation.pipeline_state import PipelineState, Start
 from estimation.records import (
@@ -34,6 +34,18 @@ from estimation.records import (
     Tick,
     Tier,
 )
+from estimation.second_opinion import (
+    FELT,
+    GoesOn,
+    Opinion,
+    RunsAway,
+    Stands,
+    Unfelt,
+    second_opinion,
+    sensor_speed,
+    sensor_stands,
+    shown_move,
+)
 from estimation.segments import Context, Decision, Motion
 from estimation.settings import EstimatorSettings, MountSettings, SupportSettings
 from estimation.steps import Block, StepBank
@@ -47,17 +59,13 @@ WARM_UP_S = 3.0  # gyro bias and level must be known before a burst can be told 
 SILENT_IMU_S = 0.25
 FIRST_SAMPLE_S = 2.0  # a sensor that is being started is not silent yet
 SENSOR_CHANCE_S = 2.0
-SOFT_START_S = 0.35  # its onset lies so much before the time at which a ram of even speed would have left
 UPSET_LOOK_BACK_S = 0.5  # an unexplained motion began before it was too large to explain
-FELT_WITHIN_S = 2.0
-SHOWN_SHARE = (0.4, 1.6)  # of the usual speed: more or less is no move of the ram
 UNEXPLAINED_READINGS = 3  # outside the gate in a row
 UNFELT_LOOK_BACK_S = 1.2
 KNOWN_SIGMA_M = 0.03  # a stroke known no better than this is a guess
 FORBIDDEN_M = 0.015  # from an end of the stroke
 STOP_UNNOTICED_S = 0.2
 LEAST_UPRIGHT = 0.7  # cosine: a face dips, but not by 45 degrees
-_FELT = {"both": (1, -1), "link": (1,), "base": (-1,)}  # directions, by where the sensor sits
 PERIOD_STEPS = 1.1  # kernels fit step periods within 5 %; they are built on this geometric grid
 
 
@@ -77,6 +85,7 @@ class Pipeline:
         mount = mount or MountSettings()
         self._mount = Mount(mount)
         self._imu_on = mount.imu_on
+        self._felt = FELT[mount.imu_on]
         self._support = support or SupportSettings()
         self._settings = estimator or EstimatorSettings()
         self._latency_s = latency_s
@@ -325,32 +334,10 @@ class Pipeline:
             retract_forbidden=known and p < FORBIDDEN_M,
             end_expected=abs(p - end_m) < near_m,
             delay_s=self._delay_s,
-            felt=_FELT[self._imu_on],
+            felt=self._felt,
             broken_off=self._broken_off(),
-            shown=self._shown_move(),
+            shown=shown_move(s, self._felt, self._latency_s),
         )
-
-    def _shown_move(self) -> Motion | None:
-        """The move that the displacement sensor shows while rest is believed, if it is one that can be felt."""
-        s = self.state
-        if s.recogniser.motion is not None and s.recogniser.motion.confirmed:
-            return None
-        speed = self._sensor_speed()
-        if speed is None or not s.slope.fresh(s.belief.rests_since_ns()):
-            return None
-        if not self._could_be_felt(speed):
-            return None
-        direction = 1 if speed > 0 else -1
-        resting_m = s.settled.filter.displacement_prediction(0.0)[0]
-        before_s = (s.slope.mean() - resting_m) / speed  # of the middle of the window
-        onset_ns = s.slope.middle_ns() - round((before_s + self._latency_s + SOFT_START_S) * 1e9)
-        return Motion(direction, onset_ns, slow=True)
-
-    def _could_be_felt(self, speed_m_s: float) -> bool:
-        """Whether this is a speed of the ram, and a move in which the inertial sensor takes part."""
-        direction = 1 if speed_m_s > 0 else -1
-        share = abs(speed_m_s) / self.state.head.usual_speed(direction)
-        return direction in _FELT[self._imu_on] and SHOWN_SHARE[0] < share < SHOWN_SHARE[1]
 
     def _broken_off(self) -> Motion | None:
         """The last move, if it ended far from its mechanical stop."""
@@ -398,7 +385,7 @@ class Pipeline:
         s = self.state
         free = s.belief.open_free
         if free is not None:
-            moves = self._sensor_speed() is not None or (free.unfelt and not self._sensor_stands(free.from_ns))
+            moves = sensor_speed(s) is not None or (free.unfelt and not sensor_stands(s, free.from_ns))
             if not step.blind and s.supervisor.calm(step.t_ns, free.from_ns, moves):
                 s.belief.end_free(step.t_ns)
                 s.recogniser.rest(step.t_ns)
@@ -411,94 +398,37 @@ class Pipeline:
             self._go_free(step.t_ns - round(UNFELT_LOOK_BACK_S * 1e9), unfelt=True)
             out.append(Event(step.t_ns, "a move that cannot be felt: following the displacement sensor"))
         elif step.readings and s.can_state in (CanState.OK, CanState.BIASED):
-            self._hear_second_opinion(step, out)
+            self._act_on(second_opinion(s, step.t_ns, self._felt, step.t_ns - round(LAG_S * 1e9)), step, out)
 
-    def _sensor_stands(self, since_ns: int) -> bool:
-        """Whether the displacement sensor has stood for a while within a time that began at `since_ns`; or is mute."""
+    def _act_on(self, opinion: Opinion | None, step: Step, out: list[Output]) -> None:
+        """Bring belief and tracks in line with what the displacement sensor shows."""
         s = self.state
-        if s.can_state in (CanState.SILENT, CanState.ABSENT):
-            return True
-        if s.slope.since_ns < since_ns:
-            return False
-        return s.slope.stands(sqrt(s.sensor.noise_m2), s.head.usual_speed(1))
-
-    def _sensor_speed(self) -> float | None:
-        """Speed that the displacement sensor reports, if it is a moving ram's."""
-        s = self.state
-        if s.can_state not in (CanState.OK, CanState.BIASED):
-            return None
-        return s.slope.moves(sqrt(s.sensor.noise_m2), s.head.usual_speed(1))
-
-    def _hear_second_opinion(self, step: Step, out: list[Output]) -> None:
-        """The displacement sensor moves while rest is believed, or stands while a move is."""
-        s = self.state
-        motion = s.recogniser.motion
-        if s.head.phase is Phase.REST and motion is None:
-            speed = self._sensor_speed()
-            ended_ns = s.belief.rests_since_ns()
-            # The window must not still hold the move that has just ended.
-            fresh = ended_ns is None or step.t_ns - ended_ns > (1.2e9 if s.belief.last_motion else 2e9)
-            if speed is None or not fresh:
-                s.shown_since_ns = None
-                return
-            if s.shown_since_ns is None:
-                s.shown_since_ns = step.t_ns
-            self._reopen_or_follow(step, speed, out)
-        elif s.head.phase is Phase.CRUISE and motion is not None:
-            expected = s.head.filter.state.x[SPEED]
-            cruised_s = (s.slope.since_ns - motion.onset_ns) * 1e-9
-            if cruised_s < 1.0:
-                return
-            noise_m = sqrt(s.sensor.noise_m2)
-            if s.slope.stands(noise_m, expected):
-                self._stop_where_sensor_stands(step, motion, expected, out)
-            elif s.slope.disagrees(noise_m, expected) and not s.sensor.biased:
-                self._distrust_sensor(step, out)
-
-    def _reopen_or_follow(self, step: Step, speed: float, out: list[Output]) -> None:
-        s = self.state
-        motion = s.belief.last_motion
-        stop_ns = None if motion is None else motion.stop_ns
-        unsettled_ns = step.t_ns - round(LAG_S * 1e9)
-        if motion is not None and stop_ns is not None and stop_ns > unsettled_ns and speed * motion.direction > 0:
-            going_on = Motion(motion.direction, motion.onset_ns, motion.slow, confirmed=True)
-            s.belief.replace_last(going_on)
-            s.recogniser.reopen(going_on, step.t_ns)
+        if isinstance(opinion, GoesOn):
+            s.belief.replace_last(opinion.motion)
+            s.recogniser.reopen(opinion.motion, step.t_ns)
             s.moves -= not s.summary_due  # its summary will come again, under the same number
             s.summary_due = False
             self._run_head_again()
             out.append(Event(step.t_ns, "the displacement sensor still moves: the stop was none, move re-opened"))
-            return
-        assert s.shown_since_ns is not None
-        felt = (1 if speed > 0 else -1) in _FELT[self._imu_on]
-        if felt and step.t_ns - s.shown_since_ns < FELT_WITHIN_S * 1e9:
-            return  # the recogniser may take it up yet: a soft start needs its time
-        self._go_free(step.t_ns - round(2e9), unfelt=self._imu_on != "both")
-        out.append(Event(step.t_ns, "the displacement sensor moves although no start was felt: following it"))
-
-    def _stop_where_sensor_stands(self, step: Step, motion: Motion, expected_m_s: float, out: list[Output]) -> None:
-        """No stop was felt, but the sensor stands: the ram stopped where its path met the reading."""
-        s = self.state
-        predicted_m, _ = s.head.filter.displacement_prediction(0.0)
-        overrun_s = max((predicted_m - s.slope.mean()) / expected_m_s, 0.0)
-        stop_ns = max(step.t_ns - round(overrun_s * 1e9), motion.onset_ns + round(1e9))
-        s.belief.replace_last(replace(motion, stop_ns=stop_ns, stop_confirmed=True))
-        s.recogniser.rest(step.t_ns)
-        self._run_head_again()
-        out.append(Event(step.t_ns, "no stop was felt, but the displacement sensor stands: move ended"))
-        s.summary_due = True
-
-    def _distrust_sensor(self, step: Step, out: list[Output]) -> None:
-        """The ram can change its speed only with a burst, and none was felt: the sensor runs away."""
-        s = self.state
-        since_ns = s.slope.since_ns
-        for reading in [reading for past in s.buffer for reading in past.readings] + s.pending:
-            if reading.t_ns >= since_ns:
-                reading.usable = False
-        s.sensor.distrust()
-        s.slope.clear()
-        self._run_head_again()
-        out.append(Event(step.t_ns, "the displacement sensor changed its speed and the ram did not: not believed"))
+        elif isinstance(opinion, Unfelt):
+            self._go_free(step.t_ns - round(2e9), unfelt=self._imu_on != "both")
+            out.append(Event(step.t_ns, "the displacement sensor moves although no start was felt: following it"))
+        elif isinstance(opinion, Stands):
+            motion = s.recogniser.motion
+            assert motion is not None
+            s.belief.replace_last(replace(motion, stop_ns=opinion.stop_ns, stop_confirmed=True))
+            s.recogniser.rest(step.t_ns)
+            self._run_head_again()
+            out.append(Event(step.t_ns, "no stop was felt, but the displacement sensor stands: move ended"))
+            s.summary_due = True
+        elif isinstance(opinion, RunsAway):
+            for reading in [reading for past in s.buffer for reading in past.readings] + s.pending:
+                if reading.t_ns >= opinion.since_ns:
+                    reading.usable = False
+            s.sensor.distrust()
+            s.slope.clear()
+            self._run_head_again()
+            out.append(Event(step.t_ns, "the displacement sensor changed its speed and the ram did not: not believed"))
 
     def _go_free(self, from_ns: int, *, unfelt: bool = False) -> None:
         s = self.state
