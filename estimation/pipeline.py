@@ -246,6 +246,8 @@ class Pipeline:
                 s.summary_due = True
         else:
             for accepted in self._advance(s.head, step):
+                if self._is_in_doubt():
+                    continue
                 if self._imu_on == "both" or s.head.phase is not Phase.REST:
                     s.sensor.gated(accepted, s.head.innovation_m, s.head.filter.state.sigma(P))
                     continue
@@ -257,6 +259,13 @@ class Pipeline:
             self._sum_up(out)
         out.append(self._estimate(s.head, step, s.can_state, Tier.PROVISIONAL))
         self._settle(out, until_ns=step.t_ns - round(LAG_S * 1e9))
+
+    def _is_in_doubt(self) -> bool:
+        """A stop or start is only proposed: a reading that contradicts it speaks against it, not against the sensor."""
+        motion = self.state.recogniser.motion
+        return motion is not None and (
+            not motion.confirmed or (motion.stop_ns is not None and not motion.stop_confirmed)
+        )
 
     def _consider_waiting_start(self, step: Step, out: list[Output]) -> None:
         """Believe the saved stroke once the displacement sensor has had its chance to speak."""
