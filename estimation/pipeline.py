@@ -42,6 +42,7 @@ from estimation.second_opinion import (
     Stands,
     Unfelt,
     second_opinion,
+    seen_evidence,
     sensor_speed,
     sensor_stands,
     shown_move,
@@ -346,6 +347,7 @@ class Pipeline:
             felt=self._felt,
             broken_off=self._broken_off(),
             shown=shown_move(s, self._felt, self._latency_s),
+            seen=seen_evidence(s, self._latency_s),
         )
 
     def _broken_off(self) -> Motion | None:

@@ -10,7 +10,7 @@ from math import sqrt
 from typing import TypeAlias
 
 from estimation.belief import Phase
-from estimation.mskf import SPEED
+from estimation.mskf import OFFSET, SCALE, SPEED
 from estimation.pipeline_state import PipelineState
 from estimation.records import CanState
 from estimation.segments import Motion
@@ -20,6 +20,11 @@ FELT_WITHIN_S = 2.0  # a soft start needs its time
 SHOWN_SHARE = (0.4, 1.6)  # of the usual speed: more or less is no move of the ram
 SOFT_START_S = 0.35  # its onset lies so much before the time at which a ram of even speed would have left
 FRESH_S = (1.2, 2.0)  # after a move, and after another time: the slope's window must not still hold it
+TAKEN_UP_S = 0.1  # an onset and a stop shift the path by so much of a time
+STANDS_STILL = 4  # equal readings: it may be stuck
+LEAST_SEEN = 4  # readings
+SEEN_SIGMA_M = 0.001  # of the place from which the readings count
+MOST_SEEN = 6.0, 20.0  # nats for and against: a sensor can be wrong, but seldom just then
 CRUISED_S = 1.0  # before the window begins
 
 
@@ -113,6 +118,45 @@ def sensor_stands(s: PipelineState, since_ns: int) -> bool:
     if s.can_state in (CanState.SILENT, CanState.ABSENT):
         return True
     return s.slope.since_ns >= since_ns and s.slope.stands(sqrt(s.sensor.noise_m2), s.head.usual_speed(1))
+
+
+def seen_evidence(s: PipelineState, latency_s: float) -> float:
+    """Nats that the readings since the open proposal give for it, against going on as before; bounded."""
+    motion = s.recogniser.motion
+    if motion is None or s.can_state is not CanState.OK or s.sensor.same_in_row >= STANDS_STILL:
+        return 0.0
+    if not motion.confirmed:
+        total = _for_start(s, motion, latency_s)
+    elif motion.stop_ns is not None and not motion.stop_confirmed:
+        total = _for_stop(s, motion, motion.stop_ns + round((latency_s + TAKEN_UP_S) * 1e9))
+    else:
+        return 0.0
+    return min(max(total, -MOST_SEEN[1]), MOST_SEEN[0])
+
+
+def _for_start(s: PipelineState, motion: Motion, latency_s: float) -> float:
+    """Have the readings left the place where the ram stood?"""
+    after_ns = motion.onset_ns + round((latency_s + (SOFT_START_S if motion.slow else TAKEN_UP_S)) * 1e9)
+    state = s.head.filter.state
+    speed = motion.direction * s.head.usual_speed(motion.direction) * (1.0 + state.x[SCALE])
+    rested_m = (1.0 + state.x[SCALE]) * s.head.start_m + state.x[OFFSET]
+    total = 0.0
+    for t_ns, value_m in s.slope.readings:
+        moved_m = speed * max((t_ns - after_ns) * 1e-9, 0.0)
+        total += (value_m - rested_m) ** 2 - (value_m - rested_m - moved_m) ** 2
+    return total / (2.0 * (s.sensor.noise_m2 + SEEN_SIGMA_M**2))
+
+
+def _for_stop(s: PipelineState, motion: Motion, after_ns: int) -> float:
+    """Do the readings stand? Their place says nothing: the estimate has followed them."""
+    since = [(t_ns * 1e-9, value_m) for t_ns, value_m in s.slope.readings if t_ns > after_ns]
+    if len(since) < LEAST_SEEN:
+        return 0.0
+    mean_s, mean_m = sum(t_s for t_s, _ in since) / len(since), sum(value_m for _, value_m in since) / len(since)
+    spread_s2 = sum((t_s - mean_s) ** 2 for t_s, _ in since)
+    moment = sum((t_s - mean_s) * (value_m - mean_m) for t_s, value_m in since)
+    speed = motion.direction * s.head.usual_speed(motion.direction)
+    return ((moment - speed * spread_s2) ** 2 - moment**2) / (2.0 * s.sensor.noise_m2 * spread_s2)
 
 
 def shown_move(s: PipelineState, felt: tuple[int, ...], latency_s: float) -> Motion | None:

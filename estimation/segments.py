@@ -41,10 +41,14 @@ STOP_ODDS = 2.0  # on, for a stop: a faltering pump is rarer
 QUIET_ODDS = 3.0  # most that the vibration may say for or against a stop
 CANDIDATE_EVIDENCE = 2.0  # a start that was not sure enough is remembered from here on
 
+NOT_SEEN = -10.0  # nats: no use to wait for a slow start
+SEEN_AGAINST = 8.0  # times the nats of a displacement sensor that shows no such start
+
 CONFIRM_AFTER_S = 0.75
 CONFIRM_SLOW_AFTER_S = 0.8
 CONFIRM_STOP_AFTER_S = 1.3
 SEARCH_S = 0.3  # the refined time lies this close to the proposed one
+SLOW_SEARCH_AFTER_S = 1.4  # a sharp start is proposed by its side lobes in the slow kernels, so much early
 SLOW_SEARCH_S = 1.0  # a side lobe of a slow start is proposed so much late
 FIT_SLACK_S, SLOW_FIT_SLACK_S = 0.15, 0.8  # a fit that lies farther from the guess has found something else
 STOP_NOT_BEFORE_S = 0.6  # after the onset: the burst rings until then
@@ -56,6 +60,7 @@ CANDIDATES = 8
 SHARP_SHARE = 0.55  # what a sharp kernel hears of a slow start is less, what a slow one hears of a sharp step no more
 LEAST_MOVE_S = 2.0  # nearer to the stop its own side lobes look like starts
 SURE = 8.0  # nats: such a candidate is believed before the last stop is doubted
+QUIET_WINDOW_S = 0.3
 QUIETEST_M_S2 = 0.01  # a vibration below this is none
 
 
@@ -100,6 +105,7 @@ class Context:
     felt: tuple[int, ...] = (1, -1)  # directions that the sensor can feel
     broken_off: Motion | None = None  # the last move, if it ended in mid-stroke
     shown: Motion | None = None  # a move that the displacement sensor shows while rest is believed
+    seen: float = 0.0  # nats that the displacement sensor gives for the open proposal
 
     def speed(self, direction: int) -> float:
         """Usual speed of a direction."""
@@ -238,7 +244,7 @@ class SegmentRecogniser:
         del self.candidates[CANDIDATES:]
 
     def _confirm_start(self, t_ns: int, motion: Motion, bank: StepBank, context: Context) -> Decision | None:
-        after_s = 1.0 if motion.slow else SEARCH_S
+        after_s = SLOW_SEARCH_AFTER_S if motion.slow else SEARCH_S
         sharp = self._largest(bank, Kernel.START_WHOLE, motion.onset_ns, after_s)
         # The side lobes of a large step look like smaller ones of the other sign: the largest of all is heard first.
         for sign in (0, motion.direction):
@@ -264,12 +270,12 @@ class SegmentRecogniser:
                 if slow is None or slow.t_ns - self.last_event_ns < SLOW_QUIET_AFTER_STOP_S * 1e9:
                     continue
                 sign = 1 if slow.x > 0 else -1
-                beside = self._largest(bank, Kernel.START_WHOLE, slow.t_ns, 0.6, sign)
+                beside = self._largest(bank, Kernel.START_WHOLE, slow.t_ns, 1.0, sign)
                 if beside is not None and beside.x * sign > SHARP_SHARE * abs(slow.x):
                     continue  # the side lobe of a sharp step
                 if self._accept(slow, None, 0.6, CONFIRM_SLOW_EVIDENCE, bank, context, slow=True):
                     return Decision.START_CONFIRMED
-            if t_ns < motion.onset_ns + round(2.6e9) and context.shown is None:
+            if t_ns < motion.onset_ns + round(2.6e9) and context.shown is None and context.seen > NOT_SEEN:
                 return None
         if context.shown is not None:
             # What was felt, if not surely, tells the time better.
@@ -298,9 +304,12 @@ class SegmentRecogniser:
         speed = context.speed(direction)
         if abs(step.x) < share * speed or direction not in context.felt:
             return False
-        strength = evidence(abs(step.x), step.sigma, speed, 0.13) - context.penalty(direction)
-        other = context.speed(-direction)
-        if strength < wanted or strength < evidence(abs(step.x), step.sigma, other, 0.13) - UNSTARTED:
+        felt = evidence(abs(step.x), step.sigma, speed, 0.13) - context.penalty(direction)
+        if felt < evidence(abs(step.x), step.sigma, context.speed(-direction), 0.13) - UNSTARTED:
+            return False
+        # What is seen is sure; the evidence of what is felt supposes that the vibration is as it was.
+        seen = context.seen if self.motion is not None and direction == self.motion.direction else 0.0
+        if felt + (seen if seen > 0.0 else SEEN_AGAINST * seen) < wanted:
             return False
         if sustained is not None and (
             sustained_evidence(sustained.x * direction, sustained.sigma, speed) < -SUSTAINED_EVIDENCE
@@ -369,7 +378,7 @@ class SegmentRecogniser:
         """Nats for a stop against a mere dip of the speed."""
         speed = context.speed(motion.direction)
         sustained = self._beside(bank, Kernel.STOP_SUSTAINED, step)
-        total = STOP_ODDS + EXPECTED_END * context.end_expected
+        total = STOP_ODDS + EXPECTED_END * context.end_expected + context.seen
         total += evidence(abs(step.x), (step.sigma**2 + (0.05 * speed) ** 2) ** 0.5, speed, 0.06)
         total -= evidence(abs(step.x), (step.sigma**2 + (0.05 * speed) ** 2) ** 0.5, 0.6 * speed, 0.3)
         total += sustained_evidence(-sustained.x * motion.direction, sustained.sigma, speed)
@@ -518,7 +527,7 @@ def _quiet_evidence(bank: StepBank, step: _Step) -> float:
     end = len(levels) - 1
     stop = max(end - step.index - bank.post_steps[Kernel.STOP_LATE], 0)
     moving = _log_mean(levels[i] for i in range(max(stop - 60, 0), max(stop - 15, 1)))
-    after = _log_mean(levels[i] for i in range(max(end - 12, 0), end + 1))
+    after = log(bank.vibration_lately_m_s2(QUIET_WINDOW_S) + QUIETEST_M_S2)
     resting = log(bank.level_at_rest_m_s2 + QUIETEST_M_S2)
     spread = 0.6
     fall = 0.5 * ((after - moving) ** 2 - (after - min(resting, moving)) ** 2) / spread**2

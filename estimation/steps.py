@@ -202,6 +202,15 @@ class StepBank:
         levelled = push - self.gravity_m_s2 * (tilt - tilt[-1] - drift * since)
         return np.asarray(levelled - levelled[-1])
 
+    def vibration_lately_m_s2(self, window_s: float) -> float:
+        """Its rms within just that time: the running mean without what it still remembers of before."""
+        blocks = min(max(round(window_s / self.dt_s), 1), len(self.vibration) - 1)
+        if blocks < 1:
+            return self.vibration_m_s2
+        left = (1.0 - min(self.dt_s / VIBRATION_TIME_S, 1.0)) ** blocks
+        square = (self.vibration[-1] ** 2 - left * self.vibration[-1 - blocks] ** 2) / (1.0 - left)
+        return sqrt(max(square, 0.0))
+
     def add(self, block: Block, gyro_bias_rad_s: float, *, since_event_s: float, resting: bool) -> Steps:
         """Take one block mean.
 
