@@ -48,15 +48,23 @@ class Stream:
         settings: of the program.
         sink: called with topic and record, inputs first, then what they brought about.
         start: what is known beforehand.
+        tap: called with every record that the estimator gets, before it.
 
     Raises:
         CanConfigError: the CAN settings do not fit their DBC files.
         ValueError: what was learned belongs to another machine.
     """
 
-    def __init__(self, settings: Settings, sink: Sink, start: Start | None = None) -> None:
+    def __init__(
+        self,
+        settings: Settings,
+        sink: Sink,
+        start: Start | None = None,
+        tap: Callable[[Record], object] | None = None,
+    ) -> None:
         self.settings = settings
         self._sink = sink
+        self._tap = tap
         self._machine = machine_of(settings)
         if start is not None and start.learned is not None:
             self._machine = self._machine.named_as(start.learned.machine)
@@ -156,6 +164,8 @@ class Stream:
     def _feed(self, record: Record) -> None:
         if isinstance(record, Displacement) and record.is_reference:
             return
+        if self._tap is not None:
+            self._tap(record)
         outputs = self.pipeline.feed(record)
         if outputs:
             self._emit(outputs)

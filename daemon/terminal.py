@@ -6,6 +6,7 @@ import json
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from math import isnan
 from typing import Any
 
 from rich.console import Console
@@ -77,7 +78,7 @@ def print_moves(moves: list[Move]) -> None:
             row["kind"],
             *(f"{row[key]:.2f}" for key in ("onset_s", "stop_s")),
             *(
-                f"{row[key]:.1f}"
+                "–" if isnan(row[key]) else f"{row[key]:.1f}"
                 for key in ("start_mm", "end_mm", "sigma_mm", "end_before_stop_mm", "sigma_before_stop_mm")
             ),
             f"{row['velocity_mm_s']:.2f}",

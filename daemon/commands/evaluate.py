@@ -6,6 +6,8 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from daemon.commands import methods
+
 HELP = (
     "Accuracy on many virtual supports, truth known: with and without the displacement sensor, beside the clock "
     "(nominal speed x true duration) on the same seeds."
@@ -33,6 +35,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--no-can", action="store_true", help="only without the displacement sensor; a warm-up has it all the same"
     )
+    methods.configure(parser, several=True)
     parser.add_argument("--jobs", type=int, default=1, help="processes to use (default 1)")
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
     parser.add_argument("--plot", type=Path, metavar="DIR", help="a picture for each scenario, into this folder")
@@ -65,9 +68,13 @@ def run(arguments: argparse.Namespace) -> int:
             made.add_row(name, scenario.about)
         terminal.OUT.print(made)
         return 0
+    if arguments.method == "list":
+        return methods.show()
     named = SCENARIOS_OF_EVALUATION if arguments.scenario == "all" else arguments.scenario.split(",")
     names = list(dict.fromkeys(_known(name.strip()) for name in named))
     _check(arguments)
+    if arguments.method != methods.OURS:
+        return _compare(names, arguments)
     cases = [
         Case(name, seed, mode, arguments.warm)
         for name in names
@@ -104,6 +111,72 @@ def run(arguments: argparse.Namespace) -> int:
         case = result.case
         terminal.OUT.print(f"{case.scenario}, seed {case.seed}, {case.mode}: {result.failure}", highlight=False)
     return 0
+
+
+def _compare(scenarios: list[str], arguments: argparse.Namespace) -> int:
+    """All methods asked for, side by side."""
+    from dataclasses import asdict
+
+    from daemon import terminal
+    from daemon.errors import UsageError
+    from daemon.offline.method_evaluation import evaluate_methods, summarise_methods
+    from estimation.methods.registry import METHODS
+
+    if arguments.warm or arguments.no_can:
+        raise UsageError(f"--warm and --no-can are for --method {methods.OURS}: the others learn nothing")
+    named = METHODS if arguments.method == "all" else arguments.method.split(",")
+    names = list(dict.fromkeys(methods.known(name.strip()) for name in named))
+    with terminal.progress("virtual supports", len(scenarios) * len(arguments.seeds)) as progress:
+        results = evaluate_methods(names, scenarios, arguments.seeds, arguments.jobs, progress)
+    rows = summarise_methods(results)
+    if arguments.plot is not None:
+        from daemon.offline.paper_figures import draw_figures
+
+        for scenario in scenarios:
+            draw_figures(scenario, arguments.seeds[0], arguments.plot)
+    if arguments.json:
+        seeds = [arguments.seeds.start, arguments.seeds.stop]
+        terminal.print_json({"seeds": seeds, "rows": rows, "records": [asdict(result) for result in results]})
+        return 0
+    _print_methods(rows, arguments)
+    return 0
+
+
+def _print_methods(rows: list[dict[str, Any]], arguments: argparse.Namespace) -> None:
+    from daemon import terminal
+
+    made = terminal.table(
+        f"Seeds {arguments.seeds.start}:{arguments.seeds.stop}, first cycle, before any stop is believed",
+        "scenario",
+        "move",
+        "method",
+        "median mm",
+        "p95",
+        "worst",
+        "CVS speed off mm/s",
+        "≤ 2 mm/s",
+        "MSE of v, VVS (mm/s)²",
+        "CVS",
+        "wrong moves",
+    )
+    for row in rows:
+        told = "median_mm" in row
+        made.add_row(
+            row["scenario"],
+            row["move"],
+            row["method"],
+            *(_short(row[f"{key}_mm"]) if told else "–" for key in ("median", "p95", "worst")),
+            f"{_short(row['cvs_speed_median_mm_s'])} | {_short(row['cvs_speed_p95_mm_s'])}" if told else "–",
+            f"{row['cvs_speed_within_2_mm_s']:.0%}" if told else "–",
+            *(_short(row[f"{segment}_mse_median_mm2_s2"]) if told else "–" for segment in ("vvs", "cvs")),
+            f"{row['failures']} of {row['records']}",
+        )
+    terminal.OUT.print(made)
+
+
+def _short(value: float) -> str:
+    """Three digits or so."""
+    return f"{value:.2f}" if value < 10 else f"{value:.1f}" if value < 100 else f"{value:.0f}"
 
 
 def _known(name: str) -> str:

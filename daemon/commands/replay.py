@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from daemon.commands import methods
+
 HELP = (
     "Run what a recording received through the estimator again, as fast as possible. Without --config the file's "
     "own settings hold, and the estimates it holds are compared bit for bit with the new ones."
@@ -14,7 +16,8 @@ EXAMPLE = "ramstroke replay shift.mcap --csv shift.csv --json"
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
-    parser.add_argument("file", type=Path, help="the recording")
+    parser.add_argument("file", type=Path, nargs="?", help="the recording")
+    methods.configure(parser)
     parser.add_argument("--config", type=Path, help="settings to use instead of the file's own")
     parser.add_argument(
         "--state", type=Path, help="start from this state file; the recorded estimates are then not compared"
@@ -33,6 +36,9 @@ def run(arguments: argparse.Namespace) -> int:
     from daemon.offline.replay_outputs import replay_to
     from daemon.rows import learned_row, learned_words
 
+    if arguments.method == "list":
+        return methods.show()
+    _check(arguments)
     settings = load(arguments.config) if arguments.config else None
     with terminal.progress("messages") as progress:
         result = replay_to(
@@ -43,6 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
             provisional=arguments.provisional,
             state=arguments.state,
             end_state=arguments.save_state,
+            method=arguments.method,
             progress=progress,
         )
     learned = learned_row(result.learned)
@@ -51,6 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json:
         terminal.print_json(
             {
+                "method": arguments.method,
                 "samples": result.samples,
                 "bad_bursts": result.bad_bursts,
                 "duration_s": result.duration_s,
@@ -63,12 +71,29 @@ def run(arguments: argparse.Namespace) -> int:
         )
         return 0
     same = {True: "reproduced bit for bit", False: "NOT reproduced", None: "none recorded"}[result.identical]
-    if arguments.state is not None:
+    if arguments.state is not None or arguments.method != methods.OURS:
         same = "not compared"
     terminal.say(
         f"{result.samples} samples, {result.duration_s:.1f} s, {result.realtime_factor:.0f} × real time; "
         f"recorded estimates: {same}"
     )
     terminal.print_moves(result.moves)
-    terminal.say(f"learned: {learned_words(learned)}")
+    if arguments.method == methods.OURS:
+        terminal.say(f"learned: {learned_words(learned)}")
     return 0
+
+
+def _check(arguments: argparse.Namespace) -> None:
+    from daemon.errors import UsageError
+
+    if arguments.file is None:
+        raise UsageError("name the recording to replay")
+    if methods.known(arguments.method) == methods.OURS:
+        return
+    for option, given in (
+        ("--state", arguments.state),
+        ("--save-state", arguments.save_state),
+        ("--provisional", arguments.provisional),
+    ):
+        if given:
+            raise UsageError(f"{option} is for --method {methods.OURS}: {arguments.method} knows no such thing")

@@ -5,8 +5,11 @@ from __future__ import annotations
 import argparse
 from collections.abc import Mapping
 from dataclasses import asdict
+from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from daemon.commands import methods
 
 if TYPE_CHECKING:
     from daemon.offline.mount import MountReview
@@ -24,7 +27,8 @@ EXAMPLE = "ramstroke review /var/lib/ramstroke/recordings/ramstroke-20260105T063
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
-    parser.add_argument("file", type=Path, help="the recording")
+    parser.add_argument("file", type=Path, nargs="?", help="the recording")
+    methods.configure(parser)
     parser.add_argument("--csv", type=Path, help="write one row per step, settled and smoothed, to this table")
     parser.add_argument(
         "--estimate-mount", action="store_true", help="find out which way the sensor sits: what [mount] should say"
@@ -35,17 +39,24 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Review."""
     from daemon import terminal
+    from daemon.errors import UsageError
     from daemon.offline.mount import review_mount
     from daemon.offline.reviewing import review
 
+    if arguments.method == "list":
+        return methods.show()
+    if arguments.file is None:
+        raise UsageError("name the recording to review")
+    method = methods.known(arguments.method)
     with terminal.progress("messages") as progress:
-        reviewed = review(arguments.file, progress, arguments.csv)
+        reviewed = review(arguments.file, progress, arguments.csv, method)
         mount = review_mount(arguments.file, progress) if arguments.estimate_mount else None
     result = reviewed.replayed
     if arguments.json:
         terminal.print_json(
             {
                 "file": str(arguments.file),
+                "method": method,
                 "complete": reviewed.complete,
                 "version": reviewed.metadata.get("version"),
                 "sensor": reviewed.metadata.get("sensor"),
@@ -142,10 +153,11 @@ def _print(path: Path, reviewed: Review, mount: MountReview | None) -> None:
         if row is not None:
             say(f"{move.kind} at {move.onset_ns * 1e-9:.2f} s, smoothed: {_move_in_words(row)}")
     settled, smoothed = reviewed.reference.settled(), reviewed.reference.smoothed()
-    if settled is None or smoothed is None:
+    if settled is None:
         say("no reference sensor in it")
     else:
         say(f"against the reference ({settled.readings} readings): {_errors_in_words(settled)}")
+    if smoothed is not None:
         say(f"smoothed, against the same: {_errors_in_words(smoothed)}")
     for line in () if mount is None else mount.lines():
         say(line)
@@ -160,7 +172,5 @@ def _move_in_words(row: dict[str, float]) -> str:
 
 
 def _errors_in_words(errors: ReferenceErrors) -> str:
-    return (
-        f"mean {errors.mean_mm:+.2f} mm, rms {errors.rms_mm:.2f} mm, worst {errors.worst_mm:+.2f} mm, "
-        f"{errors.inside_95:.1%} inside ± 1.96 σ"
-    )
+    words = f"mean {errors.mean_mm:+.2f} mm, rms {errors.rms_mm:.2f} mm, worst {errors.worst_mm:+.2f} mm"
+    return words if isnan(errors.inside_95) else f"{words}, {errors.inside_95:.1%} inside ± 1.96 σ"

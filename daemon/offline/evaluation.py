@@ -6,10 +6,7 @@ everything behind the driver are the same.
 
 from __future__ import annotations
 
-import multiprocessing
-import signal
 from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import replace
 from itertools import dropwhile, takewhile
 from math import nan
@@ -18,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daemon.offline.evaluation_score import Case, MoveScore, Run, SeedResult, clock_error_mm, failure_of
+from daemon.offline.parallel import parallel
 from daemon.offline.scenarios import SCENARIOS_OF_EVALUATION as SCENARIOS
 from daemon.offline.scenarios import EvaluationScenario
 from drivers.adis16448.registers import ACCEL_LSB, GYRO_LSB_DPS
@@ -57,7 +55,7 @@ def records_of(support: VirtualSupport, readings: Iterable[Observation]) -> Iter
             yield ImuSample(t_ns, (gx, gy, gz), (ax, ay, az))
 
 
-def _readings(
+def readings_of(
     support: VirtualSupport, scenario: EvaluationScenario, judged: PlacedTrajectory, *, fused: bool
 ) -> Iterator[Observation]:
     """What the displacement sensor says, after the scenario has had its way with it."""
@@ -93,8 +91,8 @@ def evaluate_case(case: Case, warmed_up: bytes | None = None) -> SeedResult:
     """Play the support, estimate, compare; `warmed_up`: the pipeline's snapshot after the warm-up, if it is known."""
     scenario, support = SCENARIOS[case.scenario], virtual_support(case)
     judged = support.placed(case.warm_up)
-    records = records_of(support, _readings(support, scenario, judged, fused=case.mode == "fused"))
-    pipeline = _pipeline(case)
+    records = records_of(support, readings_of(support, scenario, judged, fused=case.mode == "fused"))
+    pipeline = pipeline_of(case)
     if case.warm_up:
         pipeline.restore(_warm_up(case) if warmed_up is None else warmed_up)
         records = dropwhile(lambda record: not _is_judged(record, judged), records)
@@ -129,7 +127,8 @@ def evaluate_case(case: Case, warmed_up: bytes | None = None) -> SeedResult:
     return SeedResult(case, failure, scores, [clock_error_mm(true) for true in truth], rest_s, false_moves)
 
 
-def _pipeline(case: Case) -> Pipeline:
+def pipeline_of(case: Case) -> Pipeline:
+    """Our estimator as it begins with a case."""
     return Pipeline(mount=MountSettings(imu_on=SCENARIOS[case.scenario].imu_on), start=Start(0.0))
 
 
@@ -140,7 +139,7 @@ def _is_judged(record: Record, judged: PlacedTrajectory) -> bool:
 
 def _warm_up(case: Case) -> bytes:
     """What the pipeline is after the warm-up, which has the displacement sensor in its plain state."""
-    support, pipeline = virtual_support(case), _pipeline(case)
+    support, pipeline = virtual_support(case), pipeline_of(case)
     judged = support.placed(case.warm_up)
     for record in takewhile(lambda record: not _is_judged(record, judged), records_of(support, support.observations())):
         pipeline.feed(record)
@@ -150,7 +149,7 @@ def _warm_up(case: Case) -> bytes:
 def evaluate(cases: Sequence[Case], jobs: int = 1, progress: Callable[[int], None] | None = None) -> list[SeedResult]:
     """All cases, in their order; the same results whatever `jobs` is."""
     done: dict[Case, SeedResult] = {}
-    for results in _evaluated(_with_one_warm_up(cases), jobs):
+    for results in parallel(_evaluate_group, _with_one_warm_up(cases), jobs):
         done |= {result.case: result for result in results}
         if progress is not None:
             progress(len(done))
@@ -169,25 +168,3 @@ def _with_one_warm_up(cases: Sequence[Case]) -> list[list[Case]]:
 def _evaluate_group(cases: Sequence[Case]) -> list[SeedResult]:
     warmed_up = _warm_up(cases[0]) if cases[0].warm_up else None
     return [evaluate_case(case, warmed_up) for case in cases]
-
-
-def _evaluated(groups: list[list[Case]], jobs: int) -> Iterator[list[SeedResult]]:
-    """Their results, as they come."""
-    if jobs == 1:
-        yield from map(_evaluate_group, groups)
-        return
-    with ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"), _end_on_interrupt) as pool:
-        try:
-            for future in as_completed([pool.submit(_evaluate_group, group) for group in groups]):
-                yield future.result()
-        except BaseException:
-            # Nobody waits for what is queued or half done.
-            pool.shutdown(wait=False, cancel_futures=True)
-            for worker in multiprocessing.active_children():
-                worker.terminate()
-            raise
-
-
-def _end_on_interrupt() -> None:
-    """In a worker: Ctrl-C ends it at once, without a traceback of its own."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)

@@ -27,7 +27,7 @@ def summarise(results: list[SeedResult], index: int) -> dict[str, Any]:
     normalised = np.array([score.error_mm / score.sigma_mm for score in scores])
     clock = np.array([result.clock_errors_mm[index] for result, _ in judged])
     row = {
-        **_spread(np.abs([score.error_mm for score in scores])),
+        **spread(np.abs([score.error_mm for score in scores])),
         **counts,
         **_median_p95("rmse", "mm", [score.rmse_mm for score in scores]),
         **_median_p95("cvs_speed", "mm_s", [score.cvs_speed_error_mm_s for score in scores]),
@@ -104,7 +104,7 @@ def summarise_rest(results: list[SeedResult]) -> dict[str, Any]:
 def summarise_clock(results: list[SeedResult], index: int) -> dict[str, Any]:
     """The baseline's row, for the move at `index` of the script."""
     error = np.abs([result.clock_errors_mm[index] for result in results])
-    return {"records": len(results), "failures": 0, **_spread(error)}
+    return {"records": len(results), "failures": 0, **spread(error)}
 
 
 def row_names(scenario: str) -> list[str]:
@@ -117,7 +117,8 @@ def row_names(scenario: str) -> list[str]:
     return [kind if kinds.count(kind) == 1 else f"{kind} {kinds[: i + 1].count(kind)}" for i, kind in enumerate(kinds)]
 
 
-def _spread(error_mm: NDArray[np.float64]) -> dict[str, float]:
+def spread(error_mm: NDArray[np.float64]) -> dict[str, float]:
+    """Median, 95th percentile, worst and rms of absolute errors."""
     return {
         "median_mm": float(np.median(error_mm)),
         "p95_mm": float(np.percentile(error_mm, 95)),

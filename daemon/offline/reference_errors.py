@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field
-from math import sqrt
+from math import isnan, nan, sqrt
 
 from estimation.records import Displacement
 from estimation.settled_smoother import SmoothedStep
@@ -20,7 +20,7 @@ class ReferenceErrors:
     mean_mm: float
     rms_mm: float
     worst_mm: float
-    inside_95: float  # share within the stated 95 %
+    inside_95: float  # share within the stated 95 %; NaN where no sigma is stated
 
 
 @dataclass(slots=True)
@@ -29,7 +29,7 @@ class _Tally:
     sum_mm: float = 0.0
     squares_mm2: float = 0.0
     worst_mm: float = 0.0
-    inside: int = 0
+    inside: float = 0.0
 
     def add(self, error_m: float, sigma_m: float) -> None:
         error_mm = error_m * 1e3
@@ -37,7 +37,7 @@ class _Tally:
         self.sum_mm += error_mm
         self.squares_mm2 += error_mm**2
         self.worst_mm = max(self.worst_mm, error_mm, key=abs)
-        self.inside += abs(error_m) <= SIGMAS_95 * sigma_m
+        self.inside += nan if isnan(sigma_m) else abs(error_m) <= SIGMAS_95 * sigma_m
 
     def errors(self) -> ReferenceErrors | None:
         n = self.readings
@@ -61,7 +61,7 @@ class ReferenceComparison:
             self._readings.append(reading)
 
     def add_step(self, step: SmoothedStep) -> None:
-        """Compare the readings since the last step."""
+        """Compare the readings since the last step; one that is not smoothed is NaN there."""
         before, self._before = self._before, step
         while self._readings and self._readings[0].t_ns <= step.settled.t_ns:
             reading = self._readings.popleft()
@@ -80,4 +80,5 @@ class ReferenceComparison:
         share = (reading.t_ns - before.settled.t_ns) / (after.settled.t_ns - before.settled.t_ns)
         for tally, a, b in ((self._settled, before.settled, after.settled), (self._smoothed, before, after)):
             estimate_m = a.displacement_m + share * (b.displacement_m - a.displacement_m)
-            tally.add(estimate_m - reading.value_m, max(a.sigma_m, b.sigma_m))
+            if not isnan(estimate_m):
+                tally.add(estimate_m - reading.value_m, max(a.sigma_m, b.sigma_m))

@@ -21,7 +21,7 @@ from daemon.settings import Settings
 from daemon.stream import INPUTS, Sink, Stream
 from estimation.learned import Learned, prior_of
 from estimation.pipeline import Start
-from estimation.records import Estimate, Move
+from estimation.records import Estimate, Move, Record
 from estimation.settled_smoother import SettledSmoother, SmoothedStep
 
 _COMPARED = (topics.PROVISIONAL, topics.SETTLED)
@@ -92,6 +92,7 @@ def replay(
     progress: Callable[[int], None] | None = None,
     smoothed: Callable[[SmoothedStep], None] | None = None,
     state: Path | None = None,
+    tap: Callable[[Record], object] | None = None,
 ) -> ReplayResult:
     """Feed what was received through a fresh pipeline.
 
@@ -102,6 +103,7 @@ def replay(
         progress: called now and then with the number of messages read.
         smoothed: gets every settled step with what all that follows says of it, minutes behind `sink`.
         state: start from this state file, as the daemon would; then the recorded estimates are not compared.
+        tap: gets every record that the estimator gets.
 
     Raises:
         RecordingError: the recording cannot be used.
@@ -123,7 +125,7 @@ def replay(
         if sink is not None:
             sink(topic, record)
 
-    stream = stream_at_start(recording, settings, receive, state)
+    stream = stream_at_start(recording, settings, receive, state, tap)
     smoother = None if smoothed is None else SettledSmoother(stream.pipeline, smoothed)
     first_ns = last_ns = None
     count = 0
@@ -161,7 +163,13 @@ def replay(
     )
 
 
-def stream_at_start(recording: Recording, settings: Settings | None, sink: Sink, state: Path | None = None) -> Stream:
+def stream_at_start(
+    recording: Recording,
+    settings: Settings | None,
+    sink: Sink,
+    state: Path | None = None,
+    tap: Callable[[Record], object] | None = None,
+) -> Stream:
     """The stream in the state that the replay starts from; arguments and errors as for `replay`."""
     own = settings is None
     settings = settings_of(recording) if settings is None else settings
@@ -173,7 +181,7 @@ def stream_at_start(recording: Recording, settings: Settings | None, sink: Sink,
         start = Start(learned=_recorded_learned(recording, settings))
     if recording.metadata.get("kind") == "import":
         start = Start((settings.support.initial_mm or 0.0) / 1e3, learned=start.learned)
-    stream = Stream(settings, sink, start)
+    stream = Stream(settings, sink, start, tap)
     if snapshot is not None:
         try:
             stream.restore(snapshot)

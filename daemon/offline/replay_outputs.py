@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
+from daemon.offline.method_replay import replay_method
 from daemon.offline.replay import ReplayResult, replay, stream_at_start
 from daemon.offline.step_table import COLUMNS, cells, step_table
 from daemon.recording import topics
@@ -17,6 +18,7 @@ from daemon.service import state_file
 from daemon.service.state_file import StateFileError
 from daemon.settings import Settings
 from daemon.stream import Sink
+from estimation.methods.registry import OURS
 from estimation.records import Estimate
 
 
@@ -29,11 +31,13 @@ def replay_to(
     provisional: bool = False,
     state: Path | None = None,
     end_state: Path | None = None,
+    method: str = OURS,
     progress: Callable[[int], None] | None = None,
 ) -> ReplayResult:
     """Replay `source` and write what was asked for, each file whole or not at all.
 
     state, end_state: state files to start from and to write at the end; may be the same.
+    method: another one than ours knows no states.
 
     Raises RecordingError or StateFileError.
     """
@@ -52,6 +56,8 @@ def replay_to(
 
         if end_state is not None and end_state.exists() and end_state.samefile(source):
             raise StateFileError(f"{end_state} is the file to read from: name another file for the state")
+        if method != OURS:
+            return replay_method(source, method, settings, receive, progress)
         result = replay(source, settings, receive, progress, state=state)
         if end_state is not None:
             _save_state(end_state, source, result)

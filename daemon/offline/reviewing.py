@@ -4,22 +4,26 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
+from math import nan
 from pathlib import Path
 from typing import Any
 
+from daemon.offline.method_replay import replay_method
 from daemon.offline.reference_errors import ReferenceComparison
 from daemon.offline.replay import ReplayResult, replay
 from daemon.offline.smoothed_moves import SmoothedMoves
-from daemon.offline.step_table import SMOOTHED_COLUMNS, smoothed_cells, step_table
+from daemon.offline.step_table import COLUMNS, SMOOTHED_COLUMNS, cells, smoothed_cells, step_table
 from daemon.recording import topics
 from daemon.recording.errors import refuse_same_file
 from daemon.recording.reader import Recording
 from daemon.recording.topics import TOPICS, Health, Recorded, RecordedDisplacement
+from daemon.stream import Sink
 from drivers.adis16448.burst import Burst, Fault
-from estimation.records import CanState, Event, Segment
+from estimation.methods.registry import OURS
+from estimation.records import CanState, Estimate, Event, Segment
 from estimation.settled_smoother import SmoothedStep
 
 GAP_S = 0.05
@@ -56,13 +60,16 @@ class Review:
 GAPS_SHOWN = 20
 
 
-def review(path: Path, progress: Callable[[int], None] | None = None, table: Path | None = None) -> Review:
+def review(
+    path: Path, progress: Callable[[int], None] | None = None, table: Path | None = None, method: str = OURS
+) -> Review:
     """Read, replay and smooth one recording. Raises RecordingError or CanConfigError.
 
     Args:
         path: the recording.
         progress: called now and then with the number of messages read.
         table: gets a row for each step, settled and smoothed.
+        method: another one than ours is not smoothed.
     """
     segments: Counter[Segment] = Counter()
     can_states: Counter[CanState] = Counter()
@@ -79,17 +86,22 @@ def review(path: Path, progress: Callable[[int], None] | None = None, table: Pat
         add_row = None
         if table is not None:
             refuse_same_file(path, table)
-            add_row = stack.enter_context(step_table(table, SMOOTHED_COLUMNS))
+            columns, cells_of = (SMOOTHED_COLUMNS, smoothed_cells) if method == OURS else (COLUMNS, _settled_cells)
+            add_row = stack.enter_context(step_table(table, columns))
 
         def take(step: SmoothedStep) -> None:
             segments[step.settled.segment] += 1
             can_states[step.settled.can_state] += 1
             reference.add_step(step)
-            smoothed_moves.add(step)
+            if method == OURS:
+                smoothed_moves.add(step)
             if add_row is not None:
-                add_row(smoothed_cells(step))
+                add_row(cells_of(step))
 
-        result = replay(path, sink=receive, progress=progress, smoothed=take)
+        if method == OURS:
+            result = replay(path, sink=receive, progress=progress, smoothed=take)
+        else:
+            result = replay_method(path, method, sink=_steps_too(receive, take), progress=progress)
     recording = Recording(path)
     reviewed = Review(
         recording.metadata,
@@ -114,6 +126,21 @@ def review(path: Path, progress: Callable[[int], None] | None = None, table: Pat
             last_ns = t_ns
     reviewed.messages, reviewed.lost = recording.counts, recording.lost
     return reviewed
+
+
+def _settled_cells(step: SmoothedStep) -> Sequence[str]:
+    return cells(step.settled)
+
+
+def _steps_too(receive: Sink, take: Callable[[SmoothedStep], None]) -> Sink:
+    """For a method that is not smoothed."""
+
+    def receive_all(topic: str, record: Recorded) -> None:
+        receive(topic, record)
+        if isinstance(record, Estimate):
+            take(SmoothedStep(record, *(nan,) * 6))
+
+    return receive_all
 
 
 def _note_gap(reviewed: Review, last_ns: int, t_ns: int) -> None:

@@ -115,6 +115,10 @@ SCENARIOS_OF_EVALUATION: dict[str, EvaluationScenario] = {
     "mount_off_3": EvaluationScenario("the sensor turned by 3 degrees about the vertical", turned_deg=3.0),
     "clock_off_2": EvaluationScenario("the sensor samples 2 % too slowly", clock_error=-0.02),
     "can_late": EvaluationScenario("readings 30 ms old", World(sensor=replace(World().sensor, latency_s=(0.03, 0.03)))),
+    "can_unbiased": EvaluationScenario(
+        "readings with noise of 4.7 mm and no other error, as paper A must have had them",
+        World(sensor=replace(World().sensor, sigma_m=(0.0047, 0.0047), offset_sigma_m=0.0, short_m=(0.0, 0.0))),
+    ),
     "can_dead": EvaluationScenario("no reading after 12 s of the push", tampering=_always(_dead)),
     "can_stuck": EvaluationScenario("the reading stands from 15 to 27 s of the push", tampering=_Stuck),
     "can_jump": EvaluationScenario("30 mm more from 15 s of the push on", tampering=_always(_jump)),
