@@ -87,16 +87,21 @@ def test_cases_after_one_warm_up_have_the_results_that_each_has_alone() -> None:
 
 
 @pytest.mark.parametrize(
-    ("scenario", "seed"),
+    ("scenario", "seed", "largest_ms"),
     [
-        ("weak_burst", 10),  # too soft to be felt, and shown by the displacement sensor
-        ("rough_floor", 40),  # a dip right at the onset, and vibration of 1.2 m/s^2 in the push
+        ("weak_burst", 10, 250),  # too soft to be felt, and shown by the displacement sensor
+        # slow kernels that propose a sharp start, a first rest whose spectrum nobody knows yet
+        ("partial", 1026, 60),
+        ("low_frequency_rest", 1033, 60),
+        ("rough_floor", 40, 100),  # a dip right at the onset, and vibration of 1.2 m/s^2 in the push
     ],
 )
-def test_with_the_displacement_sensor_hard_moves_have_their_onset_too(scenario: str, seed: int) -> None:
+def test_with_the_displacement_sensor_hard_moves_have_their_onset_too(
+    scenario: str, seed: int, largest_ms: float
+) -> None:
     result = evaluate_case(Case(scenario, seed, "fused"))
     assert result.failure == ""
-    assert abs(scored(result)[0].onset_error_ms) < 100
+    assert abs(scored(result)[0].onset_error_ms) < largest_ms
 
 
 def test_what_is_done_to_the_readings_counts_from_the_judged_onset_and_begins_anew_each_time() -> None:
