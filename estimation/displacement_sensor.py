@@ -11,7 +11,8 @@ GATE_SIGMAS = 4.5
 TRUST_SIGMAS = 2.5  # a biased sensor must agree this well to be trusted again
 STUCK_READINGS = 6  # identical in a row ...
 STUCK_S = 0.25
-STUCK_TRAVEL_M = 0.003  # ... while the piston must have moved this far
+STUCK_TRAVEL_M = 0.003  # ... while the piston must have moved this far ...
+STUCK_WAY_M = 0.006  # ... or would have, at its speed: readings that are believed hold the prediction back
 BIASED_READINGS = 8  # outside the gate in a row, and inside it again to be trusted
 SHARPER_THAN_BIAS, WORSE_THAN_BIAS = 0.25, 1.5
 LEAP_M, LEAP_SIGMAS = 0.008, 5.0  # between two readings, beyond what the fastest ram makes of the time
@@ -56,6 +57,7 @@ class DisplacementSensor:
     same_in_row: int = 0
     row_began_ns: int = 0
     row_began_m: float = 0.0  # the prediction when the row of identical readings began
+    row_way_m: float = 0.0  # speed times time since then
     was_known: bool = False  # whether the last prediction was worth comparing with
     near_in_row: int = 0  # readings since the prediction was last far from there
     rejected_in_row: int = 0
@@ -70,10 +72,13 @@ class DisplacementSensor:
     biased: bool = False
     bias_m: float = 0.0  # how far off it was found
 
-    def judge(self, reading: Displacement, predicted_m: float, *, known: bool = True) -> Reading:
+    def judge(
+        self, reading: Displacement, predicted_m: float, *, known: bool = True, velocity_m_s: float = 0.0
+    ) -> Reading:
         """Take one reading in, with what the estimator expects of it; says whether it may be used.
 
         `known`: the prediction is more than a guess. The jump from a guess to the first fused reading is no travel.
+        `velocity_m_s`: as believed now.
         """
         fault = reading.fault
         self.repeated = fault is ReadingFault.REPEATED
@@ -94,7 +99,8 @@ class DisplacementSensor:
         if not first and reading.value_m == self.last_value_m:
             # Not the first prediction of the row: that one may have known nothing of the value yet.
             if self.same_in_row == 0 or not (known and self.was_known):
-                self.row_began_m, self.row_began_ns = predicted_m, reading.t_ns
+                self.row_began_m, self.row_began_ns, self.row_way_m = predicted_m, reading.t_ns, 0.0
+            self.row_way_m += velocity_m_s * (reading.t_ns - max(self.last_sound_ns, self.row_began_ns)) * 1e-9
             self.same_in_row += 1
         else:
             if not first and not self.stuck and not self.astray:
@@ -169,7 +175,10 @@ class DisplacementSensor:
         else:
             stood_s = (self.last_ns - self.row_began_ns) * 1e-9 if self.last_ns is not None else 0.0
             # A ram that has just stopped is not recognised at once.
-            self.stuck = travelled and self.same_in_row + 1 >= STUCK_READINGS and stood_s > STUCK_S
+            moved = travelled or (same and abs(self.row_way_m) >= STUCK_WAY_M)
+            self.stuck = moved and self.same_in_row + 1 >= STUCK_READINGS and stood_s > STUCK_S
+            if self.stuck:
+                self.near_in_row = 0
 
     def _look_for_jump(self, value_m: float, predicted_m: float, *, known: bool) -> None:
         """No ram leaps: such a reading, and all that stay where it went, are not believed."""

@@ -178,7 +178,7 @@ class Pipeline:
         predicted_m, _ = s.head.filter.displacement_prediction((s.last_ns - reading.t_ns) * 1e-9 + self._latency_s)
         was_stuck = s.sensor.stuck
         known = s.head.filter.state.sigma(P) < KNOWN_SIGMA_M
-        judged = s.sensor.judge(reading, predicted_m, known=known)
+        judged = s.sensor.judge(reading, predicted_m, known=known, velocity_m_s=s.head.filter.state.x[V])
         s.pending.append(judged)
         if s.sensor.leapt:
             s.slope.clear()
@@ -191,7 +191,7 @@ class Pipeline:
         """The sensor froze some readings ago: take those back and estimate again without them."""
         s = self.state
         readings = [reading for step in s.buffer for reading in step.readings] + s.pending
-        for reading in readings[-STUCK_READINGS:]:
+        for reading in readings[-max(STUCK_READINGS, s.sensor.same_in_row) :]:
             reading.usable = False
         s.slope.clear()
         self._run_head_again()

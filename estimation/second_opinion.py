@@ -21,7 +21,8 @@ SHOWN_SHARE = (0.4, 1.6)  # of the usual speed: more or less is no move of the r
 SOFT_START_S = 0.35  # its onset lies so much before the time at which a ram of even speed would have left
 FRESH_S = (1.2, 2.0)  # after a move, and after another time: the slope's window must not still hold it
 TAKEN_UP_S = 0.1  # an onset and a stop shift the path by so much of a time
-STANDS_STILL = 4  # equal readings: it may be stuck
+STANDS_STILL = 1  # a noisy sensor that repeats itself may be stuck: wait for its next reading
+QUIET_SENSOR_M = 0.001  # noise of one that repeats itself wherever the ram stands
 LEAST_SEEN = 4  # readings
 SEEN_SIGMA_M = 0.001  # of the place from which the readings count
 MOST_SEEN = 6.0, 20.0  # nats for and against: a sensor can be wrong, but seldom just then
@@ -96,7 +97,7 @@ def _in_motion(s: PipelineState, t_ns: int, motion: Motion) -> Opinion | None:
     expected_m_s, noise_m = s.head.filter.state.x[SPEED], sqrt(s.sensor.noise_m2)
     if (s.slope.since_ns - motion.onset_ns) * 1e-9 < CRUISED_S:
         return None
-    if s.slope.stands(noise_m, expected_m_s):
+    if s.slope.stands(noise_m, expected_m_s) and not _may_be_frozen(s):
         # The ram stopped where its path met the reading.
         predicted_m, _ = s.head.filter.displacement_prediction(0.0)
         overrun_s = max((predicted_m - s.slope.mean()) / expected_m_s, 0.0)
@@ -104,6 +105,10 @@ def _in_motion(s: PipelineState, t_ns: int, motion: Motion) -> Opinion | None:
     if s.slope.disagrees(noise_m, expected_m_s) and not s.sensor.biased:
         return RunsAway(s.slope.since_ns)
     return None
+
+
+def _may_be_frozen(s: PipelineState) -> bool:
+    return s.sensor.noise_m2 > QUIET_SENSOR_M**2 and s.sensor.same_in_row >= STANDS_STILL
 
 
 def sensor_speed(s: PipelineState) -> float | None:
@@ -123,7 +128,7 @@ def sensor_stands(s: PipelineState, since_ns: int) -> bool:
 def seen_evidence(s: PipelineState, latency_s: float) -> float:
     """Nats that the readings since the open proposal give for it, against going on as before; bounded."""
     motion = s.recogniser.motion
-    if motion is None or s.can_state is not CanState.OK or s.sensor.same_in_row >= STANDS_STILL:
+    if motion is None or s.can_state is not CanState.OK or _may_be_frozen(s):
         return 0.0
     if not motion.confirmed:
         total = _for_start(s, motion, latency_s)

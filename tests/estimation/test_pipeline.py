@@ -257,6 +257,21 @@ def test_a_stuck_sensor_is_recognised_and_not_followed(seed: int) -> None:
     assert result.settled[-1].sigma_m > fused(seed).settled[-1].sigma_m
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_a_sensor_that_freezes_in_a_pause_of_its_own_ends_no_move(seed: int) -> None:
+    run = short(seed)
+    before = [reading for reading in run.readings if reading.t_ns < 12.9e9]
+    after = [
+        replace(reading, value_m=before[-1].value_m) if reading.t_ns < 16e9 else reading
+        for reading in run.readings
+        if reading.t_ns > 13.85e9
+    ]
+    result = told(pipeline(), run.records([*before, *after]))
+    assert "the displacement sensor stands" not in result.words()
+    assert CanState.STUCK in states(between(result.settled, 14.5, 16.0))
+    assert_both_moves_are_right(run, result)
+
+
 def test_a_silent_sensor_is_recognised_and_sigma_grows() -> None:
     result, run = falling_silent(), short(2)
     last_s = max(r.t_ns for r in run.readings if r.t_ns < FAULT_S * S) / S
