@@ -94,7 +94,7 @@ class DisplacementSensor:
         if self.invalid or self.out_of_range or self.repeated:
             return Reading(reading.t_ns, reading.value_m, usable=False)
 
-        self._look_for_jump(reading.value_m, predicted_m, known=known)
+        self._look_for_leap(reading.value_m, predicted_m, known=known)
         first, self.sound = not self.sound, True
         if not first and reading.value_m == self.last_value_m:
             # Not the first prediction of the row: that one may have known nothing of the value yet.
@@ -180,7 +180,7 @@ class DisplacementSensor:
             if self.stuck:
                 self.near_in_row = 0
 
-    def _look_for_jump(self, value_m: float, predicted_m: float, *, known: bool) -> None:
+    def _look_for_leap(self, value_m: float, predicted_m: float, *, known: bool) -> None:
         """No ram leaps: such a reading, and all that stay where it went, are not believed."""
         passed_s = (self.last_ns - self.last_sound_ns) * 1e-9 if self.last_ns is not None else 0.0
         limit_m = max(LEAP_M, LEAP_SIGMAS * sqrt(2.0 * self.noise_m2))
