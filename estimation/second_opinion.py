@@ -125,25 +125,26 @@ def sensor_stands(s: PipelineState, since_ns: int) -> bool:
     return s.slope.since_ns >= since_ns and s.slope.stands(sqrt(s.sensor.noise_m2), s.head.usual_speed(1))
 
 
-def seen_evidence(s: PipelineState, latency_s: float) -> float:
-    """Nats that the readings since the open proposal give for it, against going on as before; bounded."""
+def seen_evidence(s: PipelineState, latency_s: float) -> dict[int, float]:
+    """Nats, by direction, that the readings since the open proposal give for a start that way, against rest; for the
+    stop of a move that way, against going on. Bounded; empty where nothing can be said."""
     motion = s.recogniser.motion
     if motion is None or s.can_state is not CanState.OK or _may_be_frozen(s):
-        return 0.0
+        return {}
     if not motion.confirmed:
-        total = _for_start(s, motion, latency_s)
+        totals = {direction: _for_start(s, motion, direction, latency_s) for direction in (1, -1)}
     elif motion.stop_ns is not None and not motion.stop_confirmed:
-        total = _for_stop(s, motion, motion.stop_ns + round((latency_s + TAKEN_UP_S) * 1e9))
+        totals = {motion.direction: _for_stop(s, motion, motion.stop_ns + round((latency_s + TAKEN_UP_S) * 1e9))}
     else:
-        return 0.0
-    return min(max(total, -MOST_SEEN[1]), MOST_SEEN[0])
+        return {}
+    return {direction: min(max(total, -MOST_SEEN[1]), MOST_SEEN[0]) for direction, total in totals.items()}
 
 
-def _for_start(s: PipelineState, motion: Motion, latency_s: float) -> float:
+def _for_start(s: PipelineState, motion: Motion, direction: int, latency_s: float) -> float:
     """Have the readings left the place where the ram stood?"""
     after_ns = motion.onset_ns + round((latency_s + (SOFT_START_S if motion.slow else TAKEN_UP_S)) * 1e9)
     state = s.head.filter.state
-    speed = motion.direction * s.head.usual_speed(motion.direction) * (1.0 + state.x[SCALE])
+    speed = direction * s.head.usual_speed(direction) * (1.0 + state.x[SCALE])
     rested_m = (1.0 + state.x[SCALE]) * s.head.start_m + state.x[OFFSET]
     total = 0.0
     for t_ns, value_m in s.slope.readings:

@@ -10,7 +10,7 @@ So a stop is known even where its start was missed, and the start is then sought
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from math import log
@@ -105,7 +105,7 @@ class Context:
     felt: tuple[int, ...] = (1, -1)  # directions that the sensor can feel
     broken_off: Motion | None = None  # the last move, if it ended in mid-stroke
     shown: Motion | None = None  # a move that the displacement sensor shows while rest is believed
-    seen: float = 0.0  # nats that the displacement sensor gives for the open proposal
+    seen: Mapping[int, float] = field(default_factory=dict)  # nats that the displacement sensor gives, by direction
 
     def speed(self, direction: int) -> float:
         """Usual speed of a direction."""
@@ -275,7 +275,11 @@ class SegmentRecogniser:
                     continue  # the side lobe of a sharp step
                 if self._accept(slow, None, 0.6, CONFIRM_SLOW_EVIDENCE, bank, context, slow=True):
                     return Decision.START_CONFIRMED
-            if t_ns < motion.onset_ns + round(2.6e9) and context.shown is None and context.seen > NOT_SEEN:
+            if (
+                t_ns < motion.onset_ns + round(2.6e9)
+                and context.shown is None
+                and context.seen.get(motion.direction, 0.0) > NOT_SEEN
+            ):
                 return None
         if context.shown is not None:
             # What was felt, if not surely, tells the time better.
@@ -308,7 +312,7 @@ class SegmentRecogniser:
         if felt < evidence(abs(step.x), step.sigma, context.speed(-direction), 0.13) - UNSTARTED:
             return False
         # What is seen is sure; the evidence of what is felt supposes that the vibration is as it was.
-        seen = context.seen if self.motion is not None and direction == self.motion.direction else 0.0
+        seen = context.seen.get(direction, 0.0)
         if felt + (seen if seen > 0.0 else SEEN_AGAINST * seen) < wanted:
             return False
         if sustained is not None and (
@@ -378,7 +382,7 @@ class SegmentRecogniser:
         """Nats for a stop against a mere dip of the speed."""
         speed = context.speed(motion.direction)
         sustained = self._beside(bank, Kernel.STOP_SUSTAINED, step)
-        total = STOP_ODDS + EXPECTED_END * context.end_expected + context.seen
+        total = STOP_ODDS + EXPECTED_END * context.end_expected + context.seen.get(motion.direction, 0.0)
         total += evidence(abs(step.x), (step.sigma**2 + (0.05 * speed) ** 2) ** 0.5, speed, 0.06)
         total -= evidence(abs(step.x), (step.sigma**2 + (0.05 * speed) ** 2) ** 0.5, 0.6 * speed, 0.3)
         total += sustained_evidence(-sustained.x * motion.direction, sustained.sigma, speed)

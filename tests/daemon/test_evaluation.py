@@ -93,6 +93,7 @@ def test_cases_after_one_warm_up_have_the_results_that_each_has_alone() -> None:
         # slow kernels that propose a sharp start, a first rest whose spectrum nobody knows yet
         ("partial", 1026, 60),
         ("low_frequency_rest", 1033, 60),
+        ("low_frequency_rest", 2011, 60),
         ("rough_floor", 40, 100),  # a dip right at the onset, and vibration of 1.2 m/s^2 in the push
     ],
 )
