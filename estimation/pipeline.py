@@ -57,6 +57,7 @@ __all__ = ["Pipeline", "Start"]
 NOMINAL_RATE_HZ = 819.2
 LAG_S = 4.0  # the settled tier runs so far behind; every decision is taken within it
 WARM_UP_S = 3.0  # gyro bias and level must be known before a burst can be told from them
+LOUD_WARM_UP_S, LOUD_M_S2 = 7.0, 0.08  # and the spectrum of a vibration that could hide one
 SILENT_IMU_S = 0.25
 FIRST_SAMPLE_S = 2.0  # a sensor that is being started is not silent yet
 SENSOR_CHANCE_S = 2.0
@@ -303,7 +304,15 @@ class Pipeline:
     def _is_warm(self, step: Step) -> bool:
         s = self.state
         assert s.first_ns is not None
-        return step.t_ns - max(s.first_ns, s.warm_from_ns) >= WARM_UP_S * 1e9
+        since_s = (step.t_ns - max(s.first_ns, s.warm_from_ns)) * 1e-9
+        if since_s < WARM_UP_S:
+            s.warm_up_s = 0.0
+            return False
+        if s.warm_up_s == 0.0:
+            # At its least: a move that has just begun is loud, too.
+            loud = s.bank is not None and s.bank.least_vibration_m_s2(0.5 * WARM_UP_S) > LOUD_M_S2
+            s.warm_up_s = LOUD_WARM_UP_S if loud else WARM_UP_S
+        return since_s >= s.warm_up_s
 
     def _check_mount(self, step: Step, out: list[Output]) -> None:
         """Say once if gravity does not lie where the mount says that up is."""

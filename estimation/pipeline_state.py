@@ -61,6 +61,7 @@ class PipelineState:
     waiting_start: Start | None = None  # to be believed if no sensor speaks
     first_ns: int | None = None
     warm_from_ns: int = 0  # when the present inertial sensor was first heard
+    warm_up_s: float = 0.0  # how long nothing is recognised of it; 0 = not decided yet
     new_sensor: bool = False  # not heard yet
     last_ns: int = 0  # end of the last step
     moves: int = 0

@@ -202,6 +202,10 @@ class StepBank:
         levelled = push - self.gravity_m_s2 * (tilt - tilt[-1] - drift * since)
         return np.asarray(levelled - levelled[-1])
 
+    def least_vibration_m_s2(self, window_s: float) -> float:
+        """The lowest level within that time."""
+        return min(list(self.vibration)[-max(round(window_s / self.dt_s), 1) :], default=0.0)
+
     def vibration_lately_m_s2(self, window_s: float) -> float:
         """Its rms within just that time: the running mean without what it still remembers of before."""
         blocks = min(max(round(window_s / self.dt_s), 1), len(self.vibration) - 1)

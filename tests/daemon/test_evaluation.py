@@ -87,20 +87,19 @@ def test_cases_after_one_warm_up_have_the_results_that_each_has_alone() -> None:
 
 
 @pytest.mark.parametrize(
-    ("scenario", "seed", "largest_ms"),
+    ("scenario", "seed", "mode", "largest_ms"),
     [
-        ("weak_burst", 10, 250),  # too soft to be felt, and shown by the displacement sensor
+        ("weak_burst", 10, "fused", 250),  # too soft to be felt, and shown by the displacement sensor
         # slow kernels that propose a sharp start, a first rest whose spectrum nobody knows yet
-        ("partial", 1026, 60),
-        ("low_frequency_rest", 1033, 60),
-        ("low_frequency_rest", 2011, 60),
-        ("rough_floor", 40, 100),  # a dip right at the onset, and vibration of 1.2 m/s^2 in the push
+        ("partial", 1026, "fused", 60),
+        ("low_frequency_rest", 1033, "fused", 60),
+        ("low_frequency_rest", 2011, "fused", 60),
+        ("low_frequency_rest", 2033, "inertial", 100),
+        ("rough_floor", 40, "fused", 100),  # a dip right at the onset, and vibration of 1.2 m/s^2 in the push
     ],
 )
-def test_with_the_displacement_sensor_hard_moves_have_their_onset_too(
-    scenario: str, seed: int, largest_ms: float
-) -> None:
-    result = evaluate_case(Case(scenario, seed, "fused"))
+def test_hard_moves_are_found_and_have_their_onset_too(scenario: str, seed: int, mode: str, largest_ms: float) -> None:
+    result = evaluate_case(Case(scenario, seed, mode))
     assert result.failure == ""
     assert abs(scored(result)[0].onset_error_ms) < largest_ms
 
