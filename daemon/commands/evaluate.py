@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from daemon.commands import methods
+from daemon.commands import choices, methods
 
 HELP = (
     "Accuracy on many virtual supports, truth known: with and without the displacement sensor, beside the clock "
@@ -71,7 +71,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.method == "list":
         return methods.show()
     named = SCENARIOS_OF_EVALUATION if arguments.scenario == "all" else arguments.scenario.split(",")
-    names = list(dict.fromkeys(_known(name.strip()) for name in named))
+    names = list(dict.fromkeys(choices.known("--scenario", name.strip(), SCENARIOS_OF_EVALUATION) for name in named))
     _check(arguments)
     if arguments.method != methods.OURS:
         return _compare(names, arguments)
@@ -177,19 +177,6 @@ def _print_methods(rows: list[dict[str, Any]], arguments: argparse.Namespace) ->
 def _short(value: float) -> str:
     """Three digits or so."""
     return f"{value:.2f}" if value < 10 else f"{value:.1f}" if value < 100 else f"{value:.0f}"
-
-
-def _known(name: str) -> str:
-    from difflib import get_close_matches
-
-    from daemon.errors import UsageError
-    from daemon.offline.scenarios import SCENARIOS_OF_EVALUATION
-
-    if name in SCENARIOS_OF_EVALUATION:
-        return name
-    near = get_close_matches(name, SCENARIOS_OF_EVALUATION, n=1)
-    hint = f"did you mean {near[0]}?" if near else "--scenario list shows what there is"
-    raise UsageError(f"--scenario {name} is unknown; {hint}")
 
 
 def _check(arguments: argparse.Namespace) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 
+from daemon.commands import choices
+
 OURS = "mskf"
 
 
@@ -15,16 +17,9 @@ def configure(parser: argparse.ArgumentParser, *, several: bool = False) -> None
 
 def known(name: str) -> str:
     """The name, if there is such a method. Raises UsageError."""
-    from difflib import get_close_matches
-
-    from daemon.errors import UsageError
     from estimation.methods.registry import METHODS
 
-    if name in METHODS:
-        return name
-    near = get_close_matches(name, METHODS, n=1)
-    hint = f"did you mean {near[0]}?" if near else "--method list shows what there is"
-    raise UsageError(f"--method {name} is unknown; {hint}")
+    return choices.known("--method", name, METHODS)
 
 
 def show() -> int:

@@ -17,9 +17,9 @@ from daemon.offline.scenarios import SCENARIOS_OF_EVALUATION as SCENARIOS
 from drivers.virtual.motion import TrueMove
 from drivers.virtual.support import PlacedTrajectory
 from estimation.arrays import FloatArray
-from estimation.methods.batch import Batch, Collector, Course, Kind, Span
+from estimation.methods.batch import Batch, Collector, Course, Kind, span_of
 from estimation.methods.registry import METHODS, OURS
-from estimation.records import Estimate, Move, MoveKind, Tier
+from estimation.records import Displacement, Estimate, Move, Tier
 
 OURS_INERTIAL = f"{OURS} without displacement sensor"
 
@@ -65,7 +65,7 @@ def play(scenario: str, seed: int) -> Played:
     for record in records_of(support, readings_of(support, SCENARIOS[scenario], judged, fused=True)):
         collector.add(record)
         for name, pipeline in pipelines.items():
-            if name == OURS or not hasattr(record, "value_m"):
+            if name == OURS or not isinstance(record, Displacement):
                 outputs[name] += _kept(pipeline.feed(record))
     for name, pipeline in pipelines.items():
         outputs[name] += _kept(pipeline.finish())
@@ -84,10 +84,7 @@ def _last_told(told: Sequence[Estimate | Move]) -> list[Move]:
 
 def _course(first_ns: int, told: Sequence[Estimate | Move]) -> Course:
     steps = [estimate for estimate in told if isinstance(estimate, Estimate)]
-    moves = tuple(
-        Span((m.onset_ns - first_ns) * 1e-9, (m.stop_ns - first_ns) * 1e-9, 1 if m.kind is MoveKind.PUSH else -1)
-        for m in _last_told(told)
-    )
+    moves = tuple(span_of(move, first_ns) for move in _last_told(told))
     return Course(
         np.array([step.displacement_m for step in steps]),
         np.array([step.velocity_m_s for step in steps]),

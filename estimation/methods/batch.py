@@ -50,11 +50,6 @@ class Batch:
     support: SupportSettings
     moves: tuple[Span, ...] = ()  # as this program's own recogniser found them
 
-    @property
-    def rate_hz(self) -> float:
-        """Mean sample rate."""
-        return (len(self.t_s) - 1) / float(self.t_s[-1] - self.t_s[0])
-
     def nominal_speed(self, direction: int) -> float:
         """Of a push (+1) or retract (-1), signed [m/s]."""
         support = self.support
@@ -112,10 +107,11 @@ class Collector:
             self.start_m,
             self.support,
         )
-        return replace(whole, moves=tuple(_span(move, first_ns) for move in moves))
+        return replace(whole, moves=tuple(span_of(move, first_ns) for move in moves))
 
 
-def _span(move: Move, first_ns: int) -> Span:
+def span_of(move: Move, first_ns: int) -> Span:
+    """A summary as a span of a record that begins at `first_ns`."""
     return Span(
         (move.onset_ns - first_ns) * 1e-9,
         (move.stop_ns - first_ns) * 1e-9,
