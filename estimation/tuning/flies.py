@@ -1,16 +1,16 @@
 """Fruit-fly optimisers of papers A and B, as read from their equations, and the same flies in log10 coordinates.
 
-A swarm sits at a location; its flies leave it by random steps; the one that smells best draws the swarm to it. A fly is
-not the candidate: each parameter has a coordinate X and Y (and Z) of its own, and the candidate is S = 1/Dist, eq. (9).
-So S is always positive and its size is tied to the size of the steps: with steps of 3.1 an S below 0.1 or above 3 is
-rare. That is the method's weakness on Q and R, whose scale nobody knows; in log10 coordinates, where the location is the
-logarithm of the parameter itself, it is gone.
+A swarm sits at a location; its flies leave it by random steps; the one that smells best draws the swarm to it. A fly
+is not the candidate: each parameter has a coordinate X and Y (and Z) of its own, and the candidate is S = 1/Dist, eq.
+(9). So S is always positive and its size is tied to the size of the steps: with steps of 3.1 an S below 0.1 or above 3
+is rare. That is the method's weakness on Q and R, whose scale nobody knows; in log10 coordinates, where the location is
+the logarithm of the parameter itself, it is gone.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count
 
 import numpy as np
@@ -40,25 +40,27 @@ def normal_step(rng: np.random.Generator, shape: tuple[int, ...]) -> FloatArray:
 class Rules:
     """What tells one kind of flies from another."""
 
-    step: Step = uniform_step(FOOD_A)
+    step: Step
     axes: int = 2  # coordinates of a fly for each parameter: X and Y; 3D-FOA has Z too
     perturbation: float = 0.0  # dw of IFOA, paper A, eq. (12); 0: plain FOA
     clamp: float = float("inf")  # of |X|, |Y|; not in the equations, one clamp stands in paper A's pseudo-code
     log10: bool = False  # location = log10 of the parameter, steps shrink, the box holds
 
 
-FOA = Rules()
-FOA_3D = Rules(axes=3)  # paper A compares it and prints no equations: the literature's usual definition
-GFOA = Rules(step=normal_step)
+FOA = Rules(uniform_step(FOOD_A))
+FOA_3D = Rules(
+    uniform_step(FOOD_A), axes=3
+)  # paper A compares it and prints no equations: the literature's usual definition
+GFOA = Rules(normal_step)
 # Paper A: dw = 3.1, drawn from U(0, dw) per coordinate as printed, kept only if the generation gets better by it.
-IFOA_A = Rules(perturbation=FOOD_A)
-IFOA_A_CLAMPED = Rules(perturbation=FOOD_A, clamp=LOCATION + FOOD_A)  # the one that is near Tables 2 and 5
-FOA_B = Rules(step=uniform_step(1.0))  # paper B prints no FR
+IFOA_A = Rules(uniform_step(FOOD_A), perturbation=FOOD_A)
+IFOA_A_CLAMPED = replace(IFOA_A, clamp=LOCATION + FOOD_A)  # the one that is near Tables 2 and 5
+FOA_B = Rules(uniform_step(1.0))  # paper B prints no FR
 
 
 def in_log10(rules: Rules) -> Rules:
     """The same flies with the location as the logarithm of the parameter."""
-    return Rules(rules.step, 1, rules.perturbation, rules.clamp, True)
+    return replace(rules, axes=1, log10=True)
 
 
 def fly(search: Search, rng: np.random.Generator, rules: Rules) -> None:

@@ -37,7 +37,7 @@ def between_neighbours(search: Search, grid: FloatArray, values: FloatArray) -> 
 def many_starts(search: Search, rng: np.random.Generator) -> None:
     """Several parameters: L-BFGS-B from points of a low-discrepancy sequence, the best first; then Nelder-Mead.
 
-    Works in units of the box and of the values' spread over it, so that parameters and objectives of any size are alike.
+    Works in units of the box and of the values' spread over it: parameters and objectives of any size are alike.
     """
     low, width = search.low, search.high - search.low
     box = [(0.0, 1.0)] * search.dimension
@@ -55,8 +55,13 @@ def many_starts(search: Search, rng: np.random.Generator) -> None:
     for start in starts:
         if search.left <= last:
             break
-        options = {"eps": STEP_EPS, "maxfun": search.left - last, "ftol": DESCENT_FTOL}
-        minimize(value, start, method="L-BFGS-B", bounds=box, options=options)
+        minimize(
+            value,
+            start,
+            method="L-BFGS-B",
+            bounds=box,
+            options={"eps": STEP_EPS, "maxfun": search.left - last, "ftol": DESCENT_FTOL},
+        )
     if search.best_x is not None:  # it has none where all was infinite
         best = (search.best_x - low) / width
         minimize(value, best, method="Nelder-Mead", bounds=box, options={"xatol": 1e-12, "fatol": 0.0})

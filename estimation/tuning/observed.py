@@ -1,7 +1,7 @@
 """A recorded or simulated motion as the two-state filter of paper A sees it, compressed to one step per reading.
 
-Between two readings the filter only predicts, and what the input adds to [p, v] does not depend on Q or R; so a record of
-any rate becomes one row per reading: interval, what the input adds, and how a unit of q enters the covariance.
+Between two readings the filter only predicts, and what the input adds to [p, v] does not depend on Q or R; so a record
+of any rate becomes one row per reading: interval, what the input adds, and how a unit of q enters the covariance.
 """
 
 from __future__ import annotations
@@ -31,9 +31,8 @@ class Observed:
     @property
     def is_uniform(self) -> bool:
         """Whether all steps are alike: then the gain settles, and a fixed linear filter does for a scan."""
-        return bool(
-            np.ptp(self.dt_s) < 1e-9 * self.dt_s[0] and (np.ptp(self.noise, axis=0) <= 1e-9 * self.noise[0]).all()
-        )
+        even_noise = (np.ptp(self.noise, axis=0) <= 1e-9 * self.noise[0]).all()
+        return bool(np.ptp(self.dt_s) < 1e-9 * self.dt_s[0] and even_noise)
 
 
 def observed_at_every_step(

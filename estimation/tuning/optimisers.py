@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -67,7 +68,7 @@ OPTIMISERS = {
 
 
 def minimize(
-    fun: Callable[[FloatArray], float] | Callable[[FloatArray], FloatArray],
+    fun: Callable[[FloatArray], float | FloatArray],
     bounds: Bounds,
     method: str = AUTO,
     budget: int = BUDGET,
@@ -101,16 +102,16 @@ def minimize(
     if method == "grid" and len(low) != 1:
         raise ValueError(f"the method grid is for one parameter, not {len(low)}")
 
-    def many(candidates: FloatArray) -> FloatArray:
+    def values(candidates: FloatArray) -> FloatArray:
+        if vectorised:
+            return np.asarray(fun(candidates), dtype=np.float64)
         return np.array([float(fun(candidate)) for candidate in candidates])
 
-    return run(Search(fun if vectorised else many, low, high, budget), optimiser.run, seed)
+    return run(Search(values, low, high, budget), optimiser.run, seed)
 
 
 def run(search: Search, optimiser: Callable[[Search, np.random.Generator], None], seed: int) -> Found:
     """Let it search until it is done or the budget is spent. Raises ValueError if nothing is finite."""
-    try:
+    with suppress(Spent):
         optimiser(search, np.random.default_rng(seed))
-    except Spent:
-        pass
     return search.found()

@@ -10,20 +10,21 @@ from estimation.tuning.search import Search
 
 def differential_evolution(search: Search, rng: np.random.Generator) -> None:
     """Scipy's, with its defaults, in the box."""
+    from scipy.optimize import Bounds
     from scipy.optimize import differential_evolution as scipy_de
 
-    scipy_de(search.one, list(zip(search.low, search.high, strict=True)), rng=rng)
+    scipy_de(search.one, Bounds(search.low, search.high), rng=rng)
 
 
 def nelder_mead(search: Search, rng: np.random.Generator) -> None:
     """Scipy's, from a random point of the box."""
-    from scipy.optimize import minimize
+    from scipy.optimize import Bounds, minimize
 
     minimize(
         search.one,
         rng.uniform(search.low, search.high),
         method="Nelder-Mead",
-        bounds=list(zip(search.low, search.high, strict=True)),
+        bounds=Bounds(search.low, search.high),
         options={"maxfev": search.left},
     )
 

@@ -1,6 +1,7 @@
 """Paper A's filter, eq. (1)-(6), over a record for many candidates of Q and R at once, exactly; and a quicker scan.
 
-The estimate depends on q/r alone (P_0 = 0), so a candidate is a ratio, with R = 1; the size follows from the innovations.
+The estimate depends on q/r alone (P_0 = 0), so a candidate is a ratio, with R = 1; the size of both follows from the
+innovations.
 """
 
 from __future__ import annotations
@@ -119,14 +120,8 @@ def _run(
     p = v = ppp = ppv = pvv = squares = weighted = log_s = zero
     product = zero + 1.0
     truth = [float("nan")] * len(observed.y) if observed.truth is None else observed.truth.tolist()
-    rows = zip(
-        observed.dt_s.tolist(),
-        observed.added.tolist(),
-        observed.noise.tolist(),
-        observed.y.tolist(),
-        truth,
-        strict=True,
-    )
+    columns = (observed.dt_s, observed.added, observed.noise, observed.y)
+    rows = zip(*(column.tolist() for column in columns), truth, strict=True)
     for k, (dt, (dp, dv), (gpp, gpv, gvv), y, true) in enumerate(rows):
         p = p + (dt * v + dp)  # (1), (13)
         v = v + dv

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import reduce
 from math import copysign, inf, isfinite, log10
@@ -146,10 +147,8 @@ class _Problem:
         search = Search(
             lambda x: self._of(fit(self.motions, 10.0 ** x[:, 0])), np.array([self.low]), np.array([self.high]), budget
         )
-        if method in (AUTO, "grid"):
-            found = self._by_line(search)
-        else:
-            found = run(search, OPTIMISERS[method].run, seed)
+        by_line = method in (AUTO, "grid")
+        found = self._by_line(search) if by_line else run(search, OPTIMISERS[method].run, seed)
         ratio = 10.0 ** float(found.x[0])
         r = float(fit(self.motions, np.array([ratio])).r[0])
         if not (isfinite(r) and r > 0):
@@ -199,11 +198,9 @@ class _Problem:
             again = np.argsort(self._of(sums), kind="stable")[:SCANNED_AGAIN]
             self.more_evaluations += GRID
         values = np.full(GRID, inf)
-        try:
+        with suppress(Spent):
             values[again] = search(grid[again, None])
             between_neighbours(search, grid, values)
-        except Spent:
-            pass
         return search.found()
 
     def _of(self, sums: Fit) -> FloatArray:
