@@ -25,6 +25,7 @@ COMMANDS = {
     "review": "review",
     "recover": "recover",
     "evaluate": "evaluate",
+    "tune": "tune",
 }
 SUMMARY = {
     "demo": "measure one cycle of a virtual support, nothing learned before",
@@ -37,6 +38,7 @@ SUMMARY = {
     "review": "sum up a recording",
     "recover": "make a cut or damaged recording whole",
     "evaluate": "accuracy on many virtual supports",
+    "tune": "find Q and R of a Kalman filter for recorded moves; compare tuners",
 }
 
 

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from daemon.recording.settings import RecorderSettings
 from drivers.adis16448.configuration import ImuSettings
 from drivers.can.settings import CanSettings
-from estimation.settings import EstimatorSettings, MountSettings, SupportSettings
+from estimation.settings import EstimatorSettings, MountSettings, SupportSettings, TwoStateSettings
 
 
 class _Section(BaseModel):
@@ -43,6 +43,7 @@ class Settings(_Section):
     mount: MountSettings = Field(default_factory=MountSettings)
     support: SupportSettings = Field(default_factory=SupportSettings)
     estimator: EstimatorSettings = Field(default_factory=EstimatorSettings)
+    two_state: TwoStateSettings = Field(default_factory=TwoStateSettings)
     recording: RecorderSettings = Field(default_factory=RecorderSettings)
     service: ServiceSettings = Field(default_factory=ServiceSettings)
     simulation: SimulationSettings = Field(default_factory=SimulationSettings)

@@ -29,7 +29,6 @@ LEARNED = (*SENSOR, PUSH_FLOW, RETRACT_FLOW)  # what outlasts a move
 FLOW_CORRELATION = 0.9  # of the two directions' usual speeds
 CREEP_M = 1e-5  # per sqrt(s) at rest
 LEVEL_DRIFT_M_S2 = 3e-4  # of the rest level, beside its averaged noise
-SPEED_WANDER = 0.01  # of V, around it, in the constant-velocity segment
 SPEED_WANDER_S = 2.5
 UNWATCHED_SPEED_M_S = 0.005  # a move seldom begins in just a gap
 STOPPED_SIGMA_M_S = 0.0007
@@ -63,6 +62,7 @@ class Filter:
 
     state: Gaussian
     stroke_m: float
+    speed_wander: float = 0.01  # of V, around it, in the constant-velocity segment
 
     def __post_init__(self) -> None:
         if len(self.state.x) != STATES:
@@ -90,11 +90,11 @@ class Filter:
         # One pump feeds both directions; the cylinder's areas, and with them the ratio of the speeds, are known well.
         both = FLOW_CORRELATION * sigma[PUSH_FLOW] * sigma[RETRACT_FLOW]
         state.p[PUSH_FLOW][RETRACT_FLOW] = state.p[RETRACT_FLOW][PUSH_FLOW] = both
-        return cls(state, support.stroke_mm / 1e3)
+        return cls(state, support.stroke_mm / 1e3, settings.speed_wander)
 
     def copy(self) -> Filter:
         """Independent copy."""
-        return Filter(self.state.copy(), self.stroke_m)
+        return Filter(self.state.copy(), self.stroke_m, self.speed_wander)
 
     # --- one step of each model -------------------------------------------------------------------------------
 
@@ -145,13 +145,13 @@ class Filter:
         It corrects the path through the burst. Of V it tells nothing new: the burst as a whole is heard later.
         """
         g = self.state
-        variance = (VIBRATION_VELOCITY_S * vibration_m_s2) ** 2 + (SPEED_WANDER * g.x[SPEED]) ** 2
+        variance = (VIBRATION_VELOCITY_S * vibration_m_s2) ** 2 + (self.speed_wander * g.x[SPEED]) ** 2
         g.measure(((V, 1.0), (SPEED, -1.0)), g.x[SPEED] - g.x[V], variance, hold=_OUTLASTING)
 
     def enter_cruise(self) -> None:
         """v := V + ripple: what v holds of the vibration must not be carried through the segment."""
         g = self.state
-        g.replace(V, SPEED, (SPEED_WANDER * g.x[SPEED]) ** 2)
+        g.replace(V, SPEED, (self.speed_wander * g.x[SPEED]) ** 2)
         g.reset(B, g.x[B], g.p[B][B])
 
     def cruise(self, dt_s: float, acceleration_m_s2: float, vibration_m_s2: float) -> None:
@@ -174,7 +174,7 @@ class Filter:
         keep = exp(-dt_s / SPEED_WANDER_S)
         g.scale(V, keep)
         g.add(V, SPEED, 1.0 - keep)
-        g.diffuse(V, (SPEED_WANDER * g.x[SPEED]) ** 2 * (1.0 - keep * keep))
+        g.diffuse(V, (self.speed_wander * g.x[SPEED]) ** 2 * (1.0 - keep * keep))
 
     def rest_unwatched(self, dt_s: float) -> None:
         """ZUPT through a short gap: had a move begun in it, this is how far it might have come."""

@@ -53,6 +53,21 @@ class SupportSettings(Settings):
         return self
 
 
+class TwoStateSettings(Settings):
+    """Covariances of paper A's two-state filter, for `--method kf2-tuned`; `ramstroke tune --save` writes them."""
+
+    q: float = Field(
+        0.88,
+        gt=0,
+        description="process noise: variance of the acceleration [(m/s²)²] with `BqB`; with `qI` of position and speed "
+        "per sample [m², (m/s)²]",
+    )
+    r: float = Field(2.2e-5, gt=0, description="variance of a reading of the displacement [m²]")
+    form: Literal["BqB", "qI"] = Field(
+        "BqB", description="how q enters the covariance: q B Bᵀ, or q I as eq. (2) of paper A reads literally"
+    )
+
+
 class EstimatorSettings(Settings):
     """What the estimator assumes before it has seen anything; all sigmas are one standard deviation."""
 
@@ -67,6 +82,12 @@ class EstimatorSettings(Settings):
         gt=0,
         le=0.5,
         description="how far one move's speed lies from the support's usual one, as a share",
+    )
+    speed_wander: float = Field(
+        0.01,
+        gt=0,
+        le=0.5,
+        description="how far the speed wanders from its mean within one move (over 2.5 s), as a share",
     )
     can_noise_mm: float = Field(
         3.5,

@@ -27,7 +27,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="of the library, separated by commas; `all`, or `list` to see them",
     )
     parser.add_argument(
-        "--seeds", type=_seeds, default=range(1, 11), metavar="A:B", help="from A to before B (default 1:11)"
+        "--seeds", type=choices.seeds, default=range(1, 11), metavar="A:B", help="from A to before B (default 1:11)"
     )
     parser.add_argument(
         "--warm", type=int, default=0, metavar="K", help="full cycles before the judged one, to learn from (default 0)"
@@ -39,17 +39,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--jobs", type=int, default=1, help="processes to use (default 1)")
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
     parser.add_argument("--plot", type=Path, metavar="DIR", help="a picture for each scenario, into this folder")
-
-
-def _seeds(text: str) -> range:
-    first, _, last = text.partition(":")
-    try:
-        seeds = range(int(first), int(last))
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is not of the form A:B, such as 1:31") from None
-    if not seeds or seeds[0] < 0:
-        raise argparse.ArgumentTypeError(f"{text!r} holds no seed: A must be smaller than B and not negative")
-    return seeds
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -132,8 +121,11 @@ def _compare(scenarios: list[str], arguments: argparse.Namespace) -> int:
     if arguments.plot is not None:
         from daemon.offline.paper_figures import draw_figures
 
+        from daemon.offline.tuning_plots import draw_paper_a
+
         for scenario in scenarios:
             draw_figures(scenario, arguments.seeds[0], arguments.plot)
+        draw_paper_a(arguments.plot)  # figures 7 and 8: an artificial signal, whatever the scenario
     if arguments.json:
         seeds = [arguments.seeds.start, arguments.seeds.stop]
         terminal.print_json({"seeds": seeds, "rows": rows, "records": [asdict(result) for result in results]})
@@ -187,13 +179,7 @@ def _check(arguments: argparse.Namespace) -> None:
     if not 0 <= arguments.warm <= 100:
         raise UsageError("--warm must lie between 0 and 100 cycles")
     if arguments.plot is not None:
-        try:
-            arguments.plot.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise UsageError(f"--plot {arguments.plot}: {error.strerror}; name a folder that can be written") from None
-        from daemon.offline.evaluation_plots import require_matplotlib
-
-        require_matplotlib()  # before an hour of computing
+        choices.picture_folder("--plot", arguments.plot)
 
 
 def _rows(results: list[Any], scenario: str) -> dict[str, dict[str, Any]]:

@@ -40,7 +40,7 @@ def replay_method(
     if course_of is None:
         raise ValueError(f"{method} is no batch method")
     in_use = settings or settings_of(Recording(path))
-    collector = Collector(in_use.mount, in_use.support)
+    collector = Collector(in_use.mount, in_use.support, in_use.two_state)
     last: list[Estimate] = []
 
     def receive(topic: str, record: Recorded) -> None:

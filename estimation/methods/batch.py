@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from estimation.arrays import FloatArray
 from estimation.mount import Mount
 from estimation.records import Displacement, ImuSample, Move, MoveKind, Record
-from estimation.settings import MountSettings, SupportSettings
+from estimation.settings import MountSettings, SupportSettings, TwoStateSettings
 
 SAMPLES_WANTED = 1024  # less than a second or two is no record
 REST_S, LEAD_S = 5.0, 0.1  # of a rest, up to shortly before a move
@@ -48,6 +48,7 @@ class Batch:
     seen_m: FloatArray  # (m,)
     start_m: float  # stroke at the beginning
     support: SupportSettings
+    two_state: TwoStateSettings = field(default_factory=TwoStateSettings)
     moves: tuple[Span, ...] = ()  # as this program's own recogniser found them
 
     def nominal_speed(self, direction: int) -> float:
@@ -76,6 +77,7 @@ class Collector:
 
     mount: MountSettings = field(default_factory=MountSettings)
     support: SupportSettings = field(default_factory=SupportSettings)
+    two_state: TwoStateSettings = field(default_factory=TwoStateSettings)
     start_m: float = 0.0
     _t_ns: list[int] = field(default_factory=list)
     _values: list[tuple[float, ...]] = field(default_factory=list)
@@ -106,6 +108,7 @@ class Collector:
             np.array([reading.value_m for reading in self._readings], dtype=np.float64),
             self.start_m,
             self.support,
+            self.two_state,
         )
         return replace(whole, moves=tuple(span_of(move, first_ns) for move in moves))
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from estimation.arrays import FloatArray
 from estimation.methods.batch import Batch, Course, kinds_of, levelled_at_rest
+from estimation.settings import TwoStateSettings
 
 BURST_S, BRAKING_S = 1.0, 0.8  # of the segments shown; the filter itself knows none
 
@@ -32,6 +33,11 @@ class Tuning:
 
 
 PAPER = Tuning(0.1758, 0.4935)  # paper A, Table 5
+
+
+def tuning_of(settings: TwoStateSettings) -> Tuning:
+    """The configuration's values, which are SI, in millimetres."""
+    return Tuning(settings.q * 1e6, settings.r * 1e6, settings.form)
 
 
 def two_state(batch: Batch, tuning: Tuning = PAPER) -> Course:

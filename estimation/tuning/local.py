@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.optimize import minimize, minimize_scalar
+from scipy.optimize import Bounds, minimize, minimize_scalar
 from scipy.stats import qmc
 
 from estimation.arrays import FloatArray
@@ -14,6 +14,7 @@ LINE_XATOL = 1e-7  # of the parameter; the objective is flat to second order at 
 SURVEY = 0.05  # of the budget, for the points that the descents start from
 POLISH = 0.1  # of the budget, for Nelder-Mead from the best that the descents have found
 STEP_EPS = 1e-7  # of finite differences, of the box's width
+DEAR_XATOL = 0.05  # of the first step, where each evaluation is a run over recordings
 DESCENT_FTOL = 1e-7  # of the spread of values: nearer comes Nelder-Mead, more starts are worth more
 
 
@@ -65,3 +66,18 @@ def many_starts(search: Search, rng: np.random.Generator) -> None:
     if search.best_x is not None:  # it has none where all was infinite
         best = (search.best_x - low) / width
         minimize(value, best, method="Nelder-Mead", bounds=box, options={"xatol": 1e-12, "fatol": 0.0})
+
+
+def from_point(search: Search, start: FloatArray, step: float) -> None:
+    """Nelder-Mead from a point (d,) that is good already, for objectives that are dear: a few dozen evaluations."""
+    minimize(
+        search.one,
+        start,
+        method="Nelder-Mead",
+        bounds=Bounds(search.low, search.high),
+        options={
+            "initial_simplex": np.vstack([start, start + step * np.eye(len(start))]),
+            "xatol": DEAR_XATOL * step,
+            "fatol": 0.0,
+        },
+    )

@@ -112,6 +112,6 @@ def minimize(
 
 def run(search: Search, optimiser: Callable[[Search, np.random.Generator], None], seed: int) -> Found:
     """Let it search until it is done or the budget is spent. Raises ValueError if nothing is finite."""
-    with suppress(Spent):
+    with suppress(Spent), np.errstate(invalid="ignore"):  # differences of infinite values
         optimiser(search, np.random.default_rng(seed))
     return search.found()

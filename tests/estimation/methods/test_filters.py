@@ -36,7 +36,7 @@ def record(tilt: float = 0.0, bias: float = 0.0, noise: float = 0.0, seed: int =
     p = np.asarray(integral(v, t_s))
     seen_m = np.interp(seen_s, t_s, p) + rng.normal(0.0, 0.003, len(seen_s))
     span = Span(ONSET_S, STOP_S, 1)
-    return Batch(0, t_s, accel, np.zeros_like(accel), seen_s, seen_m, 0.0, SupportSettings(), (span,)), p
+    return Batch(0, t_s, accel, np.zeros_like(accel), seen_s, seen_m, 0.0, SupportSettings(), moves=(span,)), p
 
 
 def test_integral_is_exact_for_straight_lines() -> None:
