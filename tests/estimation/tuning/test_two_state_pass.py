@@ -155,7 +155,7 @@ def test_bad_data_are_refused_in_one_sentence() -> None:
 
 
 def test_readings_outside_the_record_or_at_one_sample_count_once() -> None:
-    t_s = np.arange(100) * 0.01
+    t_s = np.linspace(0.0, 0.99, 100)
     seen_s = np.concatenate([[-1.0, 0.0], np.arange(0.1, 0.9, 0.1), [0.8001, 5.0]])
     motion = observed_by_readings(t_s, np.zeros(100), seen_s, np.arange(len(seen_s), dtype=float), None, "BqB")
     assert isinstance(motion, Observed)
