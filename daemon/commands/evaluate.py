@@ -120,7 +120,6 @@ def _compare(scenarios: list[str], arguments: argparse.Namespace) -> int:
     rows = summarise_methods(results)
     if arguments.plot is not None:
         from daemon.offline.paper_figures import draw_figures
-
         from daemon.offline.tuning_plots import draw_paper_a
 
         for scenario in scenarios:

@@ -9,7 +9,6 @@ from functools import lru_cache
 from typing import Any, Literal
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from daemon.offline.parallel import parallel
 from estimation.tuning import flies, particles
@@ -124,6 +123,8 @@ def _artificial(name: str, method: str, seed: int) -> Row:
 @lru_cache
 def optimum_of(name: str, seed: int) -> float:
     """Least mean squared error over q/r, by a dense grid and a bounded search around its best point."""
+    from scipy.optimize import minimize_scalar
+
     motion = observed(ARTIFICIAL[name], seed)
     grid = np.arange(-14.0, 14.0 + GRID_STEP, GRID_STEP)
     best = float(grid[int(np.argmin(fit([motion], 10.0**grid).mse))])

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.optimize import Bounds, minimize, minimize_scalar
-from scipy.stats import qmc
 
 from estimation.arrays import FloatArray
 from estimation.tuning.search import Search
@@ -26,6 +24,8 @@ def line(search: Search) -> None:
 
 def between_neighbours(search: Search, grid: FloatArray, values: FloatArray) -> None:
     """Brent's bounded search around the best point (m,) of a grid."""
+    from scipy.optimize import minimize_scalar
+
     i = int(np.argmin(values))
     minimize_scalar(
         lambda x: search.one(np.array([x])),
@@ -40,6 +40,9 @@ def many_starts(search: Search, rng: np.random.Generator) -> None:
 
     Works in units of the box and of the values' spread over it: parameters and objectives of any size are alike.
     """
+    from scipy.optimize import minimize
+    from scipy.stats import qmc
+
     low, width = search.low, search.high - search.low
     box = [(0.0, 1.0)] * search.dimension
     starts = qmc.Halton(search.dimension, rng=rng).random(max(round(search.budget * SURVEY), 1))
@@ -70,6 +73,8 @@ def many_starts(search: Search, rng: np.random.Generator) -> None:
 
 def from_point(search: Search, start: FloatArray, step: float) -> None:
     """Nelder-Mead from a point (d,) that is good already, for objectives that are dear: a few dozen evaluations."""
+    from scipy.optimize import Bounds, minimize
+
     minimize(
         search.one,
         start,

@@ -12,7 +12,6 @@ from math import log
 from typing import TypeVar
 
 import numpy as np
-from scipy.signal import lfilter
 
 from estimation.arrays import FloatArray
 from estimation.tuning.observed import Observed
@@ -84,6 +83,8 @@ def scan(observed: Observed, ratio: FloatArray) -> Fit:
     What the input alone makes of the motion is no candidate's business: it is taken off once, and a fixed linear filter
     of the rest gives the innovations, E(z) (1 - 2/z + 1/z^2) = A(z) e.
     """
+    from scipy.signal import lfilter
+
     dt = float(observed.dt_s[0])
     v = np.cumsum(observed.added[:, 1])
     rest = observed.y - np.cumsum(observed.added[:, 0] + dt * np.concatenate([[0.0], v[:-1]]))

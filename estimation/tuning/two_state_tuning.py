@@ -11,8 +11,6 @@ from operator import add
 from typing import Literal
 
 import numpy as np
-from scipy.optimize import brentq
-from scipy.stats import chi2
 
 from estimation.arrays import FloatArray
 from estimation.tuning import genetic, two_state_pass
@@ -27,7 +25,7 @@ INDEX = (-6.0, 2.0)  # log10 of the tracking index dt sqrt(Q_vv/R) searched: fro
 WIDEST_DECADES = 2.0  # of the interval of log10(q/r): wider, and the data do not tell it
 INTERVAL_XTOL = 0.01  # decades
 SCANNED_AGAIN = 3  # best points of the scan that the filter itself looks at
-CHI2_95 = float(chi2.ppf(0.95, 1))
+CHI2_95 = 3.841459  # one degree of freedom
 THREE_SIGMA = 9.0  # of the deviance over its least: 99.7 % of log10(q/r)
 PAPER_BOX = [(-5.0, 5.0)] * 2  # of Q and R, paper A's population range; the size of a candidate counts
 PAPER_START = np.array([2.0, 2.0])  # initial population of paper A's GA
@@ -117,6 +115,8 @@ def fit(motions: Sequence[Observed], ratio: FloatArray) -> Fit:
 
 def check(motions: Sequence[Observed], q: float, r: float) -> Check:
     """Innovations of all motions under Q and R; lags stay within a motion."""
+    from scipy.stats import chi2
+
     squares, products, n = [], np.zeros(LAGS), 0
     for motion in motions:
         e, s = two_state_pass.innovations(motion, q / r)
@@ -176,6 +176,8 @@ class _Problem:
 
     def _crossing(self, inner: float, decade: float, level: float) -> float:
         """Where the deviance first exceeds a level, going by decades."""
+        from scipy.optimize import brentq
+
         while True:
             outer = min(max(inner + decade, self.low), self.high)
             if outer == inner:

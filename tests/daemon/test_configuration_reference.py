@@ -39,6 +39,7 @@ def test_every_nested_table_is_a_section_of_its_own() -> None:
         "mount",
         "support",
         "estimator",
+        "two_state",
         "recording",
         "service",
         "simulation",

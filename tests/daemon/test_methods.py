@@ -133,5 +133,6 @@ def test_evaluation_draws_the_papers_figures(tmp_path: Path) -> None:
     asked = ["evaluate", "--method", "clock", "--scenario", "lab_bench", "--seeds", "1:2", "--plot", str(plots)]
     assert main(asked) == 0
     names = sorted(path.name for path in plots.iterdir())
-    assert names == [f"lab_bench-paper-{name}.png" for name in ("a-10", "a-11", "a-9b", "c-3", "c-4", "c-5", "c-6")]
+    of_support = [f"lab_bench-paper-{name}.png" for name in ("a-10", "a-11", "a-9b", "c-3", "c-4", "c-5", "c-6")]
+    assert names == [*of_support, "paper-a-7.png", "paper-a-8.png"]
     assert all((plots / name).read_bytes().startswith(b"\x89PNG") for name in names)
