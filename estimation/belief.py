@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
+from estimation.motion import Decision, Motion
 from estimation.records import Segment
-from estimation.segments import Decision, Motion
 
 BURST_LEAD_S = 0.1  # the refined onset may be this late
 START_BURST_S, SLOW_START_BURST_S = 0.9, 1.6

@@ -16,6 +16,7 @@ from estimation.burst import prepare as prepare_bursts
 from estimation.displacement_sensor import STUCK_READINGS
 from estimation.kernels import Kernel
 from estimation.learned import Learned, Machine
+from estimation.motion import Context, Decision, Motion
 from estimation.mount import Mount
 from estimation.mskf import P, V
 from estimation.orientation import matrix
@@ -47,7 +48,6 @@ from estimation.second_opinion import (
     sensor_stands,
     shown_move,
 )
-from estimation.segments import Context, Decision, Motion
 from estimation.settings import EstimatorSettings, MountSettings, SupportSettings
 from estimation.steps import Block, StepBank
 from estimation.track import Ending, Step, Track
@@ -338,26 +338,34 @@ class Pipeline:
 
     def _context(self) -> Context:
         s = self.state
-        state, stroke_m = s.head.filter.state, self._support.stroke_mm / 1e3
-        p, sigma = state.x[P], state.sigma(P)
-        known = sigma < KNOWN_SIGMA_M
-        motion = s.recogniser.motion
-        if motion is not None and not motion.confirmed and s.head.phase is not Phase.REST:
-            p = s.head.start_m  # where the move that is only proposed would lead says nothing against another
-        end_m = stroke_m if s.head.direction > 0 else 0.0
-        near_m = 3.0 * sqrt(sigma**2 + (0.02 * abs(p - s.head.start_m)) ** 2)
+        p, sigma = self._place()
+        known, stroke_m = sigma < KNOWN_SIGMA_M, self._support.stroke_mm / 1e3
         return Context(
             push_speed=s.head.usual_speed(1),
             retract_speed=s.head.usual_speed(-1),
             push_forbidden=known and p > stroke_m - FORBIDDEN_M,
             retract_forbidden=known and p < FORBIDDEN_M,
-            end_expected=abs(p - end_m) < near_m,
+            end_expected=self._end_expected(),
             delay_s=self._delay_s,
             felt=self._felt,
             broken_off=self._broken_off(),
             shown=shown_move(s, self._felt, self._latency_s),
             seen=seen_evidence(s, self._latency_s),
         )
+
+    def _place(self) -> tuple[float, float]:
+        """Where the ram is, with sigma; where a move that is only proposed would lead says nothing against another."""
+        s = self.state
+        state, motion = s.head.filter.state, s.recogniser.motion
+        only_proposed = motion is not None and not motion.confirmed and s.head.phase is not Phase.REST
+        return s.head.start_m if only_proposed else state.x[P], state.sigma(P)
+
+    def _end_expected(self) -> bool:
+        """Whether the stroke ends about here, as far as it is known."""
+        s = self.state
+        p, sigma = self._place()
+        end_m = self._support.stroke_mm / 1e3 if s.head.direction > 0 else 0.0
+        return abs(p - end_m) < 3.0 * sqrt(sigma**2 + (0.02 * abs(p - s.head.start_m)) ** 2)
 
     def _broken_off(self) -> Motion | None:
         """The last move, if it ended far from its mechanical stop."""
@@ -461,7 +469,7 @@ class Pipeline:
     def _estimate(self, track: Track, step: Step, can_state: CanState, tier: Tier) -> Estimate:
         state = track.filter.state
         sigma_m = state.sigma(P)
-        if tier is Tier.PROVISIONAL and track.phase is Phase.CRUISE and self._context().end_expected:
+        if tier is Tier.PROVISIONAL and track.phase is Phase.CRUISE and self._end_expected():
             # The ram may have stopped a moment ago: a stop is recognised that much later.
             sigma_m = hypot(sigma_m, STOP_UNNOTICED_S * state.x[V])
         lower, upper = track.chart.limits

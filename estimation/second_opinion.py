@@ -10,10 +10,10 @@ from math import sqrt
 from typing import TypeAlias
 
 from estimation.belief import Phase
+from estimation.motion import Motion
 from estimation.mskf import OFFSET, SCALE, SPEED
 from estimation.pipeline_state import PipelineState
 from estimation.records import CanState
-from estimation.segments import Motion
 
 FELT = {"both": (1, -1), "link": (1,), "base": (-1,)}  # directions, by where the inertial sensor sits
 FELT_WITHIN_S = 2.0  # a soft start needs its time

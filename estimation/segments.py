@@ -10,15 +10,12 @@ So a stop is known even where its start was missed, and the start is then sought
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from enum import StrEnum
-from math import log
-
-import numpy as np
 
 from estimation.burst import SLOW_START, START, STOP, Burst, fit_burst
 from estimation.kernels import Kernel
+from estimation.motion import Context, Decision, Motion
+from estimation.step_evidence import SeenStep, beside, evidence, largest, quiet_evidence, sustained_evidence
 from estimation.steps import StepBank, Steps
 
 # Kernels that propose a start or a stop, with the evidence wanted, in nats of log likelihood ratio
@@ -33,17 +30,16 @@ STOP_EVIDENCE = {Kernel.STOP_HALF: 12.0, Kernel.STOP_WHOLE: 10.0, Kernel.STOP_LA
 SLOW_KERNELS = (Kernel.START_SLOW, Kernel.START_SOFT)
 CONFIRM_EVIDENCE, CONFIRM_SLOW_EVIDENCE = 8.0, 9.0
 SUSTAINED_EVIDENCE = 2.0  # of a step against a pulse of speed
-IMPOSSIBLE_DIRECTION = 12.0  # off, for a direction that the position forbids; never a prohibition
 UNSTARTED = 12.0  # off, for a stop of a move whose start was not seen
 UNSTARTED_AFTER_S = 2.0  # an event: its side lobes look like anything
 EXPECTED_END = 5.0  # on, for a stop where the stroke ends
 STOP_ODDS = 2.0  # on, for a stop: a faltering pump is rarer
-QUIET_ODDS = 3.0  # most that the vibration may say for or against a stop
 CANDIDATE_EVIDENCE = 2.0  # a start that was not sure enough is remembered from here on
 
 NOT_SEEN = -10.0  # nats: no use to wait for a slow start
 SEEN_AGAINST = 8.0  # times the nats of a displacement sensor that shows no such start
 
+WAIT_FOR_SLOW_NS = round(2.6e9)  # after the onset a slow start has shown itself
 CONFIRM_AFTER_S = 0.75
 CONFIRM_SLOW_AFTER_S = 0.8
 CONFIRM_STOP_AFTER_S = 1.3
@@ -60,86 +56,6 @@ CANDIDATES = 8
 SHARP_SHARE = 0.55  # what a sharp kernel hears of a slow start is less, what a slow one hears of a sharp step no more
 LEAST_MOVE_S = 2.0  # nearer to the stop its own side lobes look like starts
 SURE = 8.0  # nats: such a candidate is believed before the last stop is doubted
-QUIET_WINDOW_S = 0.3
-QUIETEST_M_S2 = 0.01  # a vibration below this is none
-
-
-@dataclass(slots=True, frozen=True)
-class Motion:
-    """The belief about one move. Without `stop_ns` it still goes on; `confirmed` says how far the belief is proven."""
-
-    direction: int  # +1 push, -1 retract
-    onset_ns: int
-    slow: bool = False
-    confirmed: bool = False
-    stop_ns: int | None = None
-    stop_confirmed: bool = False
-    cut_ns: int | None = None  # given up here: how it went on is not known
-    start_burst: Burst | None = None
-    stop_burst: Burst | None = None
-    resumes_ns: int | None = None  # onset of the last move, which this one turned out to continue
-
-
-class Decision(StrEnum):
-    """What the recogniser has just made up its mind about."""
-
-    START_PROPOSED = "start proposed"
-    START_CONFIRMED = "start confirmed"
-    START_DISCARDED = "start discarded"
-    STOP_PROPOSED = "stop proposed"
-    STOP_CONFIRMED = "stop confirmed"
-    STOP_DISCARDED = "stop discarded"
-    STOP_UNSTARTED = "stop of a move whose start was missed"
-
-
-@dataclass(slots=True, frozen=True)
-class Context:
-    """What the estimator knows and the recogniser may use. Speeds are positive [m/s]."""
-
-    push_speed: float
-    retract_speed: float
-    push_forbidden: bool = False
-    retract_forbidden: bool = False
-    end_expected: bool = False  # the stroke is predicted to end about now
-    delay_s: float = 0.0  # of the inertial sensor's own filter
-    felt: tuple[int, ...] = (1, -1)  # directions that the sensor can feel
-    broken_off: Motion | None = None  # the last move, if it ended in mid-stroke
-    shown: Motion | None = None  # a move that the displacement sensor shows while rest is believed
-    seen: Mapping[int, float] = field(default_factory=dict)  # nats that the displacement sensor gives, by direction
-
-    def speed(self, direction: int) -> float:
-        """Usual speed of a direction."""
-        return self.push_speed if direction > 0 else self.retract_speed
-
-    def penalty(self, direction: int) -> float:
-        """Nats against a direction."""
-        forbidden = self.push_forbidden if direction > 0 else self.retract_forbidden
-        return IMPOSSIBLE_DIRECTION if forbidden else 0.0
-
-
-def evidence(x: float, sigma: float, speed: float, spread: float) -> float:
-    """Log likelihood ratio of a step of size `speed` (spread as a share of it) against none; all in m/s, signed."""
-    s0 = (1.15 * sigma) ** 2 + 0.0004**2
-    s1 = s0 + (spread * speed) ** 2
-    return float(0.5 * x * x / s0 - 0.5 * (x - speed) ** 2 / s1 - 0.5 * log(s1 / s0))
-
-
-def sustained_evidence(x: float, sigma: float, speed: float) -> float:
-    """The same of a sustained kernel against a pulse of speed, of which that kernel still hears a share."""
-    s0 = (1.1 * sigma) ** 2 + (0.20 * speed) ** 2
-    s1 = (1.1 * sigma) ** 2 + (0.12 * speed) ** 2
-    pulse, step = 0.25 * speed, 0.96 * speed
-    if x * speed > step * speed:
-        x = step  # more than a whole step speaks for no pulse
-    return float(0.5 * (x - pulse) ** 2 / s0 - 0.5 * (x - step) ** 2 / s1 - 0.5 * log(s1 / s0))
-
-
-@dataclass(slots=True, frozen=True)
-class _Step:
-    t_ns: int
-    x: float
-    sigma: float
-    index: int  # blocks ago
 
 
 @dataclass(slots=True, frozen=True)
@@ -245,57 +161,70 @@ class SegmentRecogniser:
 
     def _confirm_start(self, t_ns: int, motion: Motion, bank: StepBank, context: Context) -> Decision | None:
         after_s = SLOW_SEARCH_AFTER_S if motion.slow else SEARCH_S
-        sharp = self._largest(bank, Kernel.START_WHOLE, motion.onset_ns, after_s)
+        sharpest = self._largest(bank, Kernel.START_WHOLE, motion.onset_ns, after_s)
+        if self._is_sharp_start(sharpest, after_s, motion, bank, context):
+            return Decision.START_CONFIRMED
+        sign = 0 if sharpest is None else 1 if sharpest.x > 0 else -1
+        if sharpest is None or abs(sharpest.x) < 0.75 * context.speed(sign):
+            if self._is_slow_start(sharpest, motion, bank, context):
+                return Decision.START_CONFIRMED
+            may_show_yet = context.shown is None and context.seen.get(motion.direction, 0.0) > NOT_SEEN
+            if may_show_yet and t_ns < motion.onset_ns + WAIT_FOR_SLOW_NS:
+                return None
+        if context.shown is not None:
+            self._begin_as_shown(context.shown, motion, bank, context)
+            return Decision.START_CONFIRMED
+        self.motion = None
+        self.ignore_before_ns = motion.onset_ns + round(SEARCH_S * 1e9)
+        return Decision.START_DISCARDED
+
+    def _is_sharp_start(
+        self, sharpest: SeenStep | None, after_s: float, motion: Motion, bank: StepBank, context: Context
+    ) -> bool:
         # The side lobes of a large step look like smaller ones of the other sign: the largest of all is heard first.
         for sign in (0, motion.direction):
-            step = self._largest(bank, Kernel.START_WHOLE, motion.onset_ns, after_s, sign) if sign else sharp
+            step = self._largest(bank, Kernel.START_WHOLE, motion.onset_ns, after_s, sign) if sign else sharpest
             if step is None:
                 continue
-            sustained = self._beside(bank, Kernel.START_SUSTAINED, step)
+            sustained = beside(bank, Kernel.START_SUSTAINED, step)
             surely = sustained_evidence(
                 sustained.x * motion.direction, sustained.sigma, context.speed(motion.direction)
             )
             if sign and surely < SUSTAINED_EVIDENCE:
                 continue  # smaller than a step of the other sign: two sides of a blow
             if self._accept(step, sustained, 0.55, CONFIRM_EVIDENCE, bank, context, slow=False):
-                return Decision.START_CONFIRMED
-        speed = context.speed(motion.direction)
-        sharp_sign = 0 if sharp is None else 1 if sharp.x > 0 else -1
-        if sharp is None or abs(sharp.x) < 0.75 * context.speed(sharp_sign):
-            # Beside a clear step of the other sign it can only be a start of that sign, whose side lobe was proposed.
-            only = sharp_sign if sharp is not None and -sharp.x * motion.direction > 0.5 * speed else 0
-            before_s = SLOW_SEARCH_S if only else SEARCH_S
-            for kernel in SLOW_KERNELS[::-1]:
-                slow = self._largest(bank, kernel, motion.onset_ns, 1.0, only, before_s=before_s)
-                if slow is None or slow.t_ns - self.last_event_ns < SLOW_QUIET_AFTER_STOP_S * 1e9:
-                    continue
-                sign = 1 if slow.x > 0 else -1
-                beside = self._largest(bank, Kernel.START_WHOLE, slow.t_ns, 1.0, sign)
-                if beside is not None and beside.x * sign > SHARP_SHARE * abs(slow.x):
-                    continue  # the side lobe of a sharp step
-                if self._accept(slow, None, 0.6, CONFIRM_SLOW_EVIDENCE, bank, context, slow=True):
-                    return Decision.START_CONFIRMED
-            if (
-                t_ns < motion.onset_ns + round(2.6e9)
-                and context.shown is None
-                and context.seen.get(motion.direction, 0.0) > NOT_SEEN
-            ):
-                return None
-        if context.shown is not None:
-            # What was felt, if not surely, tells the time better.
-            felt = not motion.slow and motion.direction == context.shown.direction
-            begun = motion if felt else context.shown
-            onset_ns, burst = self._refined_start(begun.onset_ns, begun.direction, bank, context, slow=begun.slow)
-            self._begin(replace(begun, onset_ns=onset_ns, start_burst=burst, confirmed=True))
-            return Decision.START_CONFIRMED
-        self.motion = None
-        self.ignore_before_ns = motion.onset_ns + round(SEARCH_S * 1e9)
-        return Decision.START_DISCARDED
+                return True
+        return False
+
+    def _is_slow_start(self, sharpest: SeenStep | None, motion: Motion, bank: StepBank, context: Context) -> bool:
+        # Beside a clear step of the other sign it can only be a start of that sign, whose side lobe was proposed.
+        only = 0
+        if sharpest is not None and -sharpest.x * motion.direction > 0.5 * context.speed(motion.direction):
+            only = -motion.direction
+        before_s = SLOW_SEARCH_S if only else SEARCH_S
+        for kernel in SLOW_KERNELS[::-1]:
+            slow = self._largest(bank, kernel, motion.onset_ns, 1.0, only, before_s=before_s)
+            if slow is None or slow.t_ns - self.last_event_ns < SLOW_QUIET_AFTER_STOP_S * 1e9:
+                continue
+            sign = 1 if slow.x > 0 else -1
+            sharp = self._largest(bank, Kernel.START_WHOLE, slow.t_ns, 1.0, sign)
+            if sharp is not None and sharp.x * sign > SHARP_SHARE * abs(slow.x):
+                continue  # the side lobe of a sharp step
+            if self._accept(slow, None, 0.6, CONFIRM_SLOW_EVIDENCE, bank, context, slow=True):
+                return True
+        return False
+
+    def _begin_as_shown(self, shown: Motion, motion: Motion, bank: StepBank, context: Context) -> None:
+        """Begin what the displacement sensor shows; what was felt, if not surely, tells the time better."""
+        felt = not motion.slow and motion.direction == shown.direction
+        begun = motion if felt else shown
+        onset_ns, burst = self._refined_start(begun.onset_ns, begun.direction, bank, context, slow=begun.slow)
+        self._begin(replace(begun, onset_ns=onset_ns, start_burst=burst, confirmed=True))
 
     def _accept(
         self,
-        step: _Step,
-        sustained: _Step | None,
+        step: SeenStep,
+        sustained: SeenStep | None,
         share: float,
         wanted: float,
         bank: StepBank,
@@ -378,18 +307,18 @@ class SegmentRecogniser:
         self.ignore_before_ns = stop_ns + round(QUIET_AFTER_STOP_S * 1e9)
         return Decision.STOP_CONFIRMED
 
-    def _for_stop(self, step: _Step, motion: Motion, bank: StepBank, context: Context) -> float:
+    def _for_stop(self, step: SeenStep, motion: Motion, bank: StepBank, context: Context) -> float:
         """Nats for a stop against a mere dip of the speed."""
         speed = context.speed(motion.direction)
-        sustained = self._beside(bank, Kernel.STOP_SUSTAINED, step)
+        sustained = beside(bank, Kernel.STOP_SUSTAINED, step)
         total = STOP_ODDS + EXPECTED_END * context.end_expected + context.seen.get(motion.direction, 0.0)
         total += evidence(abs(step.x), (step.sigma**2 + (0.05 * speed) ** 2) ** 0.5, speed, 0.06)
         total -= evidence(abs(step.x), (step.sigma**2 + (0.05 * speed) ** 2) ** 0.5, 0.6 * speed, 0.3)
         total += sustained_evidence(-sustained.x * motion.direction, sustained.sigma, speed)
-        return total + _quiet_evidence(bank, step)
+        return total + quiet_evidence(bank, step)
 
     def _refined_stop(
-        self, step: _Step, direction: int, speed: float, bank: StepBank, context: Context
+        self, step: SeenStep, direction: int, speed: float, bank: StepBank, context: Context
     ) -> tuple[int, Burst | None]:
         stop_ns = step.t_ns + round(STOP_KERNEL_BIAS_S * 1e9)
         burst = fit_burst(bank.view(resting=False, delay_s=context.delay_s), STOP, stop_ns, stop=True)
@@ -416,19 +345,19 @@ class SegmentRecogniser:
         strength = evidence(abs(x), sigma, speed, 0.10)
         if strength - max(as_start, 0.0) < UNSTARTED:
             return False
-        largest = self._largest(bank, Kernel.STOP_LATE, t_ns, SEARCH_S, sign=-direction, judged_too=True)
-        if largest is None or self._slower(bank, t_ns, abs(x), -direction, context):
+        stop = self._largest(bank, Kernel.STOP_LATE, t_ns, SEARCH_S, sign=-direction, judged_too=True)
+        if stop is None or self._slower(bank, t_ns, abs(x), -direction, context):
             return False
-        beside = self._largest(bank, Kernel.START_WHOLE, t_ns, 0.5, judged_too=True)
-        if beside is not None and abs(beside.x) > 1.4 * speed:
+        larger = self._largest(bank, Kernel.START_WHOLE, t_ns, 0.5, judged_too=True)
+        if larger is not None and abs(larger.x) > 1.4 * speed:
             return False  # the side lobe of a larger step
-        if self._is_pulse(bank, largest.t_ns, abs(largest.x), -direction):
+        if self._is_pulse(bank, stop.t_ns, abs(stop.x), -direction):
             return False
-        sustained = self._beside(bank, Kernel.STOP_SUSTAINED, largest)
-        surely = sustained_evidence(-sustained.x * direction, sustained.sigma, speed) + _quiet_evidence(bank, largest)
+        sustained = beside(bank, Kernel.STOP_SUSTAINED, stop)
+        surely = sustained_evidence(-sustained.x * direction, sustained.sigma, speed) + quiet_evidence(bank, stop)
         if surely < SUSTAINED_EVIDENCE:
             return False
-        stop_ns, burst = self._refined_stop(largest, direction, speed, bank, context)
+        stop_ns, burst = self._refined_stop(stop, direction, speed, bank, context)
         onset_ns, resumes_ns = self._missed_onset(direction, stop_ns, context)
         self.motion = Motion(
             direction,
@@ -482,8 +411,6 @@ class SegmentRecogniser:
             return broken_off.stop_ns, broken_off.resumes_ns or broken_off.onset_ns
         return (likely[0].t_ns if likely else stop_ns), None
 
-    # --- history ----------------------------------------------------------------------------------------------
-
     def _largest(
         self,
         bank: StepBank,
@@ -494,50 +421,7 @@ class SegmentRecogniser:
         *,
         before_s: float = SEARCH_S,
         judged_too: bool = False,
-    ) -> _Step | None:
-        """The largest step that one kernel has seen near a time: of one sign, or (0) of either."""
-        times = np.fromiter(bank.times_ns, dtype=np.int64)
-        post = bank.post_steps[kernel]
-        judged = len(times) - post  # blocks whose step this kernel has seen whole
-        if judged <= 0:
-            return None
-        event_times = times[:judged]
-        x = bank.x.values[-judged:, kernel]
-        earliest_ns = t_ns - before_s * 1e9
-        if not judged_too:
-            earliest_ns = max(earliest_ns, self.ignore_before_ns)
-        near = (event_times >= earliest_ns) & (event_times <= t_ns + after_s * 1e9)
-        if not near.any():
-            return None
-        size = np.where(near, np.abs(x) if sign == 0 else sign * x, -np.inf)
-        i = int(np.argmax(size))
-        return _Step(int(event_times[i]), float(x[i]), float(bank.sigma.values[-judged:, kernel][i]), judged - 1 - i)
-
-    def _beside(self, bank: StepBank, kernel: Kernel, step: _Step) -> _Step:
-        """What another kernel of the same reach said of the same step, at its best within 0.06 s."""
-        direction = 1.0 if step.x > 0 else -1.0
-        around = range(max(step.index - 6, 0), step.index + 7)
-        rows = bank.x.values
-        best = max((i for i in around if i < len(rows)), key=lambda i: direction * rows[-1 - i, kernel])
-        return _Step(step.t_ns, float(rows[-1 - best, kernel]), float(bank.sigma.values[-1 - best, kernel]), best)
-
-
-def _quiet_evidence(bank: StepBank, step: _Step) -> float:
-    """Nats that the vibration gives for a stop: has it fallen towards what it was at rest, or gone on as in motion?
-
-    Only as far as rest and motion differ at all, and never much: a machine nearby may start or stop.
-    """
-    levels: Sequence[float] = bank.vibration
-    end = len(levels) - 1
-    stop = max(end - step.index - bank.post_steps[Kernel.STOP_LATE], 0)
-    moving = _log_mean(levels[i] for i in range(max(stop - 60, 0), max(stop - 15, 1)))
-    after = log(bank.vibration_lately_m_s2(QUIET_WINDOW_S) + QUIETEST_M_S2)
-    resting = log(bank.level_at_rest_m_s2 + QUIETEST_M_S2)
-    spread = 0.6
-    fall = 0.5 * ((after - moving) ** 2 - (after - min(resting, moving)) ** 2) / spread**2
-    return float(np.clip(fall, -QUIET_ODDS, QUIET_ODDS))
-
-
-def _log_mean(levels: Iterable[float]) -> float:
-    logs = [log(level + QUIETEST_M_S2) for level in levels]
-    return sum(logs) / len(logs)
+    ) -> SeenStep | None:
+        """The largest step near a time, but for what has been judged."""
+        not_before_ns = 0 if judged_too else self.ignore_before_ns
+        return largest(bank, kernel, t_ns, after_s, sign, before_s=before_s, not_before_ns=not_before_ns)

@@ -13,11 +13,11 @@ from estimation.belief import STOP_BURST_S, Belief, Phase
 from estimation.chart import ControlChart
 from estimation.displacement_sensor import GATE_SIGMAS, TRUST_SIGMAS, Reading
 from estimation.gaussian import Gaussian
+from estimation.motion import Motion
 from estimation.mskf import LEARNED, LEVEL_DRIFT_M_S2, SPEED, Filter, P, flow_state
 from estimation.noise import ACCEL_NOISE
 from estimation.orientation import IDENTITY, Quaternion, corrected, matrix, propagated
 from estimation.records import Vector
-from estimation.segments import Motion
 from estimation.settings import EstimatorSettings
 
 SPEED_REACHED_S, SLOW_SPEED_REACHED_S = (0.55, 0.7, 0.85), (1.2, 1.35, 1.5)

@@ -5,8 +5,8 @@ from dataclasses import replace
 import pytest
 
 from estimation.belief import SEGMENT_OF, Belief, Free, Phase
+from estimation.motion import Decision, Motion
 from estimation.records import Segment
-from estimation.segments import Decision, Motion
 
 S = 10**9
 PUSH = Motion(1, 10 * S, confirmed=True)

@@ -14,7 +14,9 @@ from scipy.stats import norm
 
 from drivers.virtual.motion import Machine, PlannedMove, Scenario, TrueMove
 from estimation.kernels import SPECS, Kernel
-from estimation.segments import Context, Decision, Motion, SegmentRecogniser, evidence
+from estimation.motion import Context, Decision, Motion
+from estimation.segments import SegmentRecogniser
+from estimation.step_evidence import evidence
 from estimation.steps import Block, StepBank, Steps
 from tests.estimation.support import ramp_response
 

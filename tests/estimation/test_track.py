@@ -7,9 +7,9 @@ import pytest
 
 from estimation.belief import Belief, Phase
 from estimation.displacement_sensor import Reading
+from estimation.motion import Motion
 from estimation.mskf import PUSH_FLOW, SPEED, Filter, P
 from estimation.records import Vector
-from estimation.segments import Motion
 from estimation.settings import EstimatorSettings, SupportSettings
 from estimation.track import Step, Track
 
