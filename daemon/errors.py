@@ -8,6 +8,7 @@ from drivers.adis16448.device import ImuError
 from drivers.can.settings import CanConfigError
 
 FAILED, MISUSED = 1, 2
+OFFLINE = ("scipy", "sklearn", "matplotlib", "tomlkit")  # of the extra `offline`
 
 
 class CommandError(Exception):
@@ -26,6 +27,8 @@ def describe(error: Exception) -> tuple[int, list[str]] | None:
         return MISUSED, [str(error)]
     if isinstance(error, RecordingError | CommandError | ImuError):
         return FAILED, [str(error)]
+    if isinstance(error, ModuleNotFoundError) and (missing := (error.name or "").partition(".")[0]) in OFFLINE:
+        return FAILED, [f'this needs the package {missing}: pip install "ramstroke[offline]"']
     if isinstance(error, OSError):
         name = f"{error.filename}: " if error.filename else ""
         return FAILED, [f"{name}{error.strerror or error}"]

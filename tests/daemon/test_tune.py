@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -187,3 +188,14 @@ def test_a_broken_configuration_is_not_written_into(capsys: pytest.CaptureFixtur
 def test_methods_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["tune", "--method", "list"]) == 0
     assert "ifoa_b_log" in capsys.readouterr().out
+
+
+def test_without_the_offline_packages_the_extra_is_named(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for module in [name for name in sys.modules if name.partition(".")[0] == "scipy"]:
+        monkeypatch.delitem(sys.modules, module)
+    monkeypatch.setitem(sys.modules, "scipy", None)  # so an import fails
+    code, said = refused(capsys, RECORDING)
+    assert code == 1
+    assert 'scipy: pip install "ramstroke[offline]"' in said
