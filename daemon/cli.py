@@ -26,6 +26,7 @@ COMMANDS = {
     "recover": "recover",
     "evaluate": "evaluate",
     "tune": "tune",
+    "align": "align",
 }
 SUMMARY = {
     "demo": "measure one cycle of a virtual support, nothing learned before",
@@ -39,6 +40,7 @@ SUMMARY = {
     "recover": "make a cut or damaged recording whole",
     "evaluate": "accuracy on many virtual supports",
     "tune": "find Q and R of a Kalman filter for recorded moves; compare tuners",
+    "align": "level and heading of the sensor from a rest",
 }
 
 

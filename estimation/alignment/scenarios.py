@@ -16,31 +16,12 @@ from estimation.arrays import FloatArray
 STEP_S = 0.1
 TILT_DEG = 5.0  # of the true attitude, uniform; the heading is anything
 
-# Only the ADIS16448's in-run figures are from its data sheet; the others stand for their class.
-GRADES = {
-    "mems_turn_on": SensorGrade(
-        gyro_bias_deg_h=1800, angle_walk_deg_sqrt_h=0.66, accel_bias_mg=20, velocity_walk_m_s_sqrt_h=0.11
-    ),
-    "adis16448_in_run": SensorGrade(
-        gyro_bias_deg_h=14.5, angle_walk_deg_sqrt_h=0.66, accel_bias_mg=0.25, velocity_walk_m_s_sqrt_h=0.11
-    ),
-    "tactical": SensorGrade(
-        gyro_bias_deg_h=1, angle_walk_deg_sqrt_h=0.1, accel_bias_mg=0.3, velocity_walk_m_s_sqrt_h=0.03
-    ),
-    "navigation": SensorGrade(
-        gyro_bias_deg_h=0.01, angle_walk_deg_sqrt_h=0.002, accel_bias_mg=0.05, velocity_walk_m_s_sqrt_h=0.003
-    ),
-    "paper_b": SensorGrade(
-        gyro_bias_deg_h=0.02, angle_walk_deg_sqrt_h=0.002, accel_bias_mg=0.05, velocity_walk_m_s_sqrt_h=0.003
-    ),
-}
-
 
 @dataclass(frozen=True)
 class Alignment:
     """One setting."""
 
-    grade: str
+    grade: str  # a name of config/sensor_grades.toml
     latitude_deg: float
     duration_s: float
     level_deg: float  # prior
@@ -55,7 +36,7 @@ ALIGNMENTS = {
     "AL-4": Alignment("tactical", 40, 300, 0.2, 5, 5),
     "AL-5": Alignment("adis16448_in_run", 39.84, 50, 0.5, 5, 5),
     "AL-6": Alignment("adis16448_in_run", 39.84, 300, 0.5, 5, 5),
-    "AL-7": Alignment("mems_turn_on", 39.84, 50, 2, 5, 5),
+    "AL-7": Alignment("adis16448_turn_on", 39.84, 50, 2, 5, 5),
     "AL-8": Alignment("paper_b", 40, 5, 0.1, 1, 1),
     "AL-9": Alignment("navigation", 65, 300, 0.1, 1, 1),
 }
@@ -71,10 +52,10 @@ class Aligned:
     nis: float  # mean squared innovation in its sigmas
 
 
-def play(case: Alignment, runs: int, seed: int) -> Aligned:
+def play(case: Alignment, grade: SensorGrade, runs: int, seed: int) -> Aligned:
     """Align `runs` virtual sensors, each with errors of its own."""
     rng = np.random.default_rng(seed)
-    place, grade = Place(case.latitude_deg), GRADES[case.grade]
+    place = Place(case.latitude_deg)
     tilt = radians(TILT_DEG)
     pitch, roll = rng.uniform(-tilt, tilt, runs), rng.uniform(-tilt, tilt, runs)
     true = from_angles(pitch, roll, rng.uniform(-np.pi, np.pi, runs))

@@ -12,15 +12,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from daemon.offline.grades import load_grades
 from estimation.alignment.attitude import cross_matrix, from_angles, misalignment, rotation, to_angles
 from estimation.alignment.coarse import as_printed, nearest_rotation, triad
 from estimation.alignment.earth import RATE_RAD_S, Place
 from estimation.alignment.fine import Prior
 from estimation.alignment.mechanisation import Strapdown
-from estimation.alignment.scenarios import ALIGNMENTS, GRADES, Aligned, play
+from estimation.alignment.scenarios import ALIGNMENTS, Aligned, play
 from estimation.alignment.verdict import Verdict, limits, rest_faults, verdicts
 from tests.estimation.alignment import pushes
 
+GRADES = load_grades()
 OTHER = json.loads((Path(__file__).parent / "data" / "python_ins.json").read_text())["states"]
 RUNS = 200
 angle = st.floats(-1.4, 1.4)
@@ -202,7 +204,7 @@ def test_the_nearest_rotation_spoils_the_level_and_the_triad_does_not() -> None:
 
 @pytest.fixture(scope="module")
 def aligned() -> dict[str, Aligned]:
-    return {name: play(case, RUNS, 1) for name, case in ALIGNMENTS.items()}
+    return {name: play(case, GRADES[case.grade], RUNS, 1) for name, case in ALIGNMENTS.items()}
 
 
 @pytest.mark.parametrize("name", ALIGNMENTS)

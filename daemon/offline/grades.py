@@ -1,0 +1,29 @@
+"""Sensor grades: those that come with the program, and a user's own file of the same form."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from daemon.toml_errors import ConfigurationError, plain, read_toml
+from estimation.alignment.sensor import SensorGrade
+
+
+def load_grades(path: Path | None = None) -> dict[str, SensorGrade]:
+    """All grades of the file, or of the program's own. Raises ConfigurationError."""
+    path = Path(str(files("config") / "sensor_grades.toml")) if path is None else path
+    _, tree = read_toml(path, "file of sensor grades")
+    grades, faults = {}, []
+    for name, values in tree.items():
+        try:
+            grades[name] = SensorGrade.model_validate(values, strict=False)
+        except ValidationError as error:
+            faults += [
+                f"{path}: [{name}] {'.'.join(map(str, fault['loc']))}: {plain(fault['msg'])}"
+                for fault in error.errors()
+            ]
+    if faults:
+        raise ConfigurationError(faults)
+    return grades
