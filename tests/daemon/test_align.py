@@ -29,8 +29,9 @@ def resting(
     *,
     turn_on_deg_s: float = 0.0,
     shock: bool = False,
+    lifted_s: float = 1.0,
 ) -> Path:
-    """A sensor of that grade at rest, then lifted for a second."""
+    """A sensor of that grade at rest, then lifted."""
     grade, place = load_grades()[grade_name], Place(LATITUDE_DEG)
     rng = np.random.default_rng(11)
     n = round((rest_s + lifted_s) * RATE_HZ)
