@@ -25,6 +25,9 @@ from drivers.virtual.motion import RATE_HZ
 from drivers.virtual.support import VirtualSupport
 from estimation.pipeline import Pipeline, Start
 from estimation.records import ImuSample
+from estimation.tuning.artificial import ARTIFICIAL, observed
+from estimation.tuning.two_state_pass import exact
+from estimation.tuning.two_state_tuning import tune
 
 SEEDS = range(1, 11)
 MODES = SCENARIOS_OF_EVALUATION["nominal"].modes
@@ -97,6 +100,48 @@ def _speed(folder: Path) -> None:
     terminal.OUT.print(f"recording: {recording.stat().st_size / hours / 1e6:.0f} MB an hour")
 
 
+def _tuning() -> None:
+    """Two thousand candidates of Q and R on paper A's signal, and whole tunings, on one cost function."""
+    from filterpy.kalman import KalmanFilter
+
+    motion, case = observed(ARTIFICIAL["AS-1"], 0), ARTIFICIAL["AS-1"]
+    ratios = 10.0 ** np.linspace(-3, 3, 2000)
+
+    def one_after_the_other() -> None:
+        for ratio in ratios[:100]:
+            exact(motion, np.array([ratio]))
+
+    def with_filterpy() -> None:
+        kalman = KalmanFilter(dim_x=2, dim_z=1, dim_u=1)
+        dt = case.dt_s
+        kalman.F, kalman.B = np.array([[1, dt], [0, 1]]), np.array([[dt * dt / 2], [dt]])
+        kalman.H, kalman.P, kalman.Q, kalman.R = (
+            np.array([[1.0, 0]]),
+            np.zeros((2, 2)),
+            kalman.B @ kalman.B.T,
+            np.eye(1),
+        )
+        for y in motion.y:
+            kalman.predict(u=np.zeros((1, 1)))
+            kalman.update(y)
+
+    made = terminal.table(f"Evaluations of Q and R, {len(motion.y)} samples", "what", "CPU ms each")
+    for what, work, count in (
+        ("2,000 candidates at once, numpy", lambda: exact(motion, ratios), 2000),
+        ("one after the other, plain floats", one_after_the_other, 100),
+        ("filterpy", with_filterpy, 1),
+    ):
+        made.add_row(what, f"{_cpu_s(work) / count * 1e3:.3f}")
+    terminal.OUT.print(made)
+    made = terminal.table("Whole tunings of AS-1 by the truth", "method", "CPU ms", "evaluations")
+    tune([motion], "BqB", budget=30)  # what loads on use is loaded
+    for method in ("auto", "nelder_mead", "de", "cma", "ifoa_a"):
+        begun = time.process_time()
+        tuned = tune([motion], "BqB", method, "truth")
+        made.add_row(method, f"{(time.process_time() - begun) * 1e3:.0f}", str(tuned.evaluations))
+    terminal.OUT.print(made)
+
+
 def _accuracy() -> None:
     results = evaluate([Case("nominal", seed, mode) for mode in MODES for seed in SEEDS], jobs=2)
     made = terminal.table(f"Accuracy, first cycle, {len(SEEDS)} seeds [mm]", "what", "median", "p95", "worst", "failed")
@@ -110,4 +155,5 @@ def _accuracy() -> None:
 if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as name:
         _speed(Path(name))
+    _tuning()
     _accuracy()
