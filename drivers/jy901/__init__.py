@@ -1,0 +1,1 @@
+"""WitMotion JY901: serial inertial sensor, paper B's. No data-ready line, no sample time: what arrives is stamped."""
