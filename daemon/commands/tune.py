@@ -45,7 +45,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--benchmark", choices=("artificial", "functions"), help="compare all tuners instead")
     parser.add_argument(
-        "--seeds", type=choices.seeds, default=range(0, 3), metavar="A:B", help="of the benchmark (default 0:3)"
+        "--seeds", type=choices.seeds, default=range(0, 5), metavar="A:B", help="of the benchmark (default 0:5)"
     )
     parser.add_argument("--jobs", type=int, default=1, help="processes to use (default 1)")
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output")

@@ -9,14 +9,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import log
-from typing import TypeVar
+from typing import Any
 
 import numpy as np
 
 from estimation.arrays import FloatArray
+from estimation.tuning import compiled
 from estimation.tuning.observed import Observed
 
-Number = TypeVar("Number", float, FloatArray)
 FEW = 12  # candidates: so few are done one by one, plain floats are as fast as arrays of this size
 STEPS_PER_LOG = 8  # variances multiplied before a logarithm is taken: it costs as much as the rest of a step
 
@@ -57,17 +57,20 @@ class Fit:
 
 def exact(observed: Observed, ratio: FloatArray) -> Fit:
     """The filter itself for ratios (m,)."""
-    if len(ratio) <= FEW:
-        sums = np.array([_run(observed, one, 0.0, log) for one in ratio.tolist()])
-        return Fit(len(observed.y), *sums.T)
-    return Fit(len(observed.y), *_run(observed, ratio, np.zeros(len(ratio)), np.log))
+    if len(ratio) > FEW and not compiled.wanted(len(ratio)):
+        columns = (observed.dt_s.tolist(), observed.added.tolist(), observed.noise.tolist(), observed.y.tolist())
+        sums = _many(*columns, _truth(observed).tolist(), ratio, np.zeros(len(ratio)), _NOTHING, _NOTHING)
+        return Fit(len(observed.y), *sums)
+    columns, run = _run_of(observed, len(ratio))
+    each = np.array([run(*columns, one, 0.0, _NOTHING, _NOTHING) for one in ratio.tolist()])
+    return Fit(len(observed.y), *each.T)
 
 
 def innovations(observed: Observed, ratio: float) -> tuple[FloatArray, FloatArray]:
     """Innovations (n,) and their variances for R = 1, (n,)."""
-    kept: list[tuple[float, float]] = []
-    _run(observed, ratio, 0.0, log, kept)
-    e, s = np.array(kept).T
+    e, s = np.empty(len(observed.y)), np.empty(len(observed.y))
+    columns, run = _run_of(observed, 1)
+    run(*columns, ratio, 0.0, e, s)
     return e, s
 
 
@@ -110,38 +113,56 @@ def steady_gain(observed: Observed, ratio: FloatArray) -> tuple[FloatArray, Floa
     return 1.0 / (u * u), 1.0 - u * u, np.sqrt(vv) * u
 
 
-def _run(
-    observed: Observed,
-    ratio: Number,
-    zero: Number,
-    log_of: Callable[[Number], Number],
-    kept: list[tuple[Number, Number]] | None = None,
-) -> tuple[Number, Number, Number]:
-    """Sums of squared errors, of e^2/s, of log s, for one ratio or an array of them; `kept` collects e and s."""
-    p = v = ppp = ppv = pvv = squares = weighted = log_s = zero
-    product = zero + 1.0
-    truth = [float("nan")] * len(observed.y) if observed.truth is None else observed.truth.tolist()
-    columns = (observed.dt_s, observed.added, observed.noise, observed.y)
-    rows = zip(*(column.tolist() for column in columns), truth, strict=True)
-    for k, (dt, (dp, dv), (gpp, gpv, gvv), y, true) in enumerate(rows):
-        p = p + (dt * v + dp)  # (1), (13)
-        v = v + dv
-        ppp = ppp + (2 * dt) * ppv + (dt * dt) * pvv + gpp * ratio  # (2)
-        ppv = ppv + dt * pvv + gpv * ratio
-        pvv = pvv + gvv * ratio
-        s = ppp + 1.0
-        e = y - p
-        kp, kv = ppp / s, ppv / s  # (4)
-        p = p + kp * e  # (5)
-        v = v + kv * e
-        pvv = pvv - kv * ppv  # (6)
-        ppv = ppv - kp * ppv
-        ppp = ppp / s
-        squares = squares + (p - true) * (p - true)
-        weighted = weighted + e * (e / s)
-        product = product * s
-        if k % STEPS_PER_LOG == STEPS_PER_LOG - 1:
-            log_s, product = log_s + log_of(product), zero + 1.0
-        if kept is not None:
-            kept.append((e, s))
-    return squares, weighted, log_s + log_of(product)
+def _truth(observed: Observed) -> FloatArray:
+    return np.full(len(observed.y), np.nan) if observed.truth is None else observed.truth
+
+
+def _run_of(observed: Observed, candidates: int) -> tuple[tuple[Any, ...], Callable[..., Any]]:
+    """Columns of the record and the run for one ratio: compiled from arrays, or plain from lists."""
+    columns = (observed.dt_s, observed.added, observed.noise, observed.y, _truth(observed))
+    if compiled.wanted(candidates):
+        return columns, compiled.of(_one)
+    return tuple(column.tolist() for column in columns), _one
+
+
+def _run_with(log_of: Callable[[Any], Any]) -> Callable[..., Any]:
+    """The filter along a record: for one ratio (floats), for many at once (arrays), or to be compiled.
+
+    Gives the sums of squared errors, of e^2/s and of log s; `e_out` and `s_out`, where they are not empty, get e and s.
+    """
+
+    def run(  # type: ignore[no-untyped-def]  # floats, arrays, or what a compiler makes of them
+        dt_s, added, noise, seen, truth, ratio, zero, e_out, s_out
+    ):
+        p = v = ppp = ppv = pvv = squares = weighted = log_s = zero
+        product = zero + 1.0
+        for k in range(len(dt_s)):
+            dt = dt_s[k]
+            p = p + (dt * v + added[k][0])  # (1), (13)
+            v = v + added[k][1]
+            ppp = ppp + (2 * dt) * ppv + (dt * dt) * pvv + noise[k][0] * ratio  # (2)
+            ppv = ppv + dt * pvv + noise[k][1] * ratio
+            pvv = pvv + noise[k][2] * ratio
+            s = ppp + 1.0
+            e = seen[k] - p
+            kp, kv = ppp / s, ppv / s  # (4)
+            p = p + kp * e  # (5)
+            v = v + kv * e
+            pvv = pvv - kv * ppv  # (6)
+            ppv = ppv - kp * ppv
+            ppp = ppp / s
+            squares = squares + (p - truth[k]) * (p - truth[k])
+            weighted = weighted + e * (e / s)
+            product = product * s
+            if k % STEPS_PER_LOG == STEPS_PER_LOG - 1:
+                log_s, product = log_s + log_of(product), zero + 1.0
+            if len(e_out):
+                e_out[k] = e
+                s_out[k] = s
+        return squares, weighted, log_s + log_of(product)
+
+    return run
+
+
+_one, _many = _run_with(log), _run_with(np.log)
+_NOTHING = np.empty(0)

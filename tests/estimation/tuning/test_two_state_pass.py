@@ -10,9 +10,10 @@ from scipy.linalg import solve_discrete_are
 from scipy.stats import multivariate_normal
 
 from estimation.arrays import FloatArray
+from estimation.tuning import compiled
 from estimation.tuning.artificial import ARTIFICIAL, observed, signal
 from estimation.tuning.observed import FORMS, Form, Observed, observed_at_every_step, observed_by_readings
-from estimation.tuning.two_state_pass import estimate, exact, innovations, scan, steady_gain
+from estimation.tuning.two_state_pass import FEW, estimate, exact, innovations, scan, steady_gain
 
 H = np.array([[1.0, 0.0]])
 
@@ -63,6 +64,21 @@ def test_one_candidate_at_a_time_equals_all_at_once(name: str) -> None:
         alone = exact(motion, np.array([ratio]))
         for told in ("mse", "deviance", "r"):
             assert getattr(alone, told)[0] == pytest.approx(getattr(together, told)[i], rel=1e-10)
+
+
+@pytest.mark.parametrize("name", ARTIFICIAL)
+def test_compiled_arrays_and_plain_floats_give_the_same_bits(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    motion = observed(ARTIFICIAL[name], 1)
+    ratios = 10.0 ** np.linspace(-6, 6, 2 * FEW)
+    monkeypatch.setattr(compiled, "wanted", lambda _: False)
+    together, alone = exact(motion, ratios), [exact(motion, ratios[i : i + 1]) for i in range(len(ratios))]
+    plain = innovations(motion, 3.0)
+    monkeypatch.setattr(compiled, "wanted", lambda _: True)
+    fast = exact(motion, ratios)
+    for sums in ("squares", "weighted", "log_s"):
+        np.testing.assert_array_equal(getattr(fast, sums), getattr(together, sums))
+        np.testing.assert_array_equal(getattr(fast, sums), [getattr(one, sums)[0] for one in alone])
+    np.testing.assert_array_equal(innovations(motion, 3.0), plain)
 
 
 @pytest.mark.parametrize("form", FORMS)
