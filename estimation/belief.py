@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
-from estimation.motion import Decision, Motion
+from estimation.recognition.motion import Decision, Motion
 from estimation.records import Segment
 
 BURST_LEAD_S = 0.1  # the refined onset may be this late

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from estimation.mount import Mount
+from estimation.mount.axes import Mount
 from estimation.records import ImuSample
 from estimation.track import Step
 from estimation.wavelet import CausalSmoother

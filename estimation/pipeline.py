@@ -12,15 +12,29 @@ from math import acos, degrees, hypot, log, sqrt
 
 from estimation.belief import SEGMENT_OF, Phase
 from estimation.blocks import GAP_PERIODS, SAMPLES_PER_STEP, BlockCutter
-from estimation.burst import prepare as prepare_bursts
-from estimation.displacement_sensor import STUCK_READINGS
-from estimation.kernels import Kernel
+from estimation.displacement.second_opinion import (
+    FELT,
+    GoesOn,
+    Opinion,
+    RunsAway,
+    Stands,
+    Unfelt,
+    second_opinion,
+    seen_evidence,
+    sensor_speed,
+    sensor_stands,
+    shown_move,
+)
+from estimation.displacement.sensor import STUCK_READINGS
 from estimation.learned import Learned, Machine
-from estimation.motion import Context, Decision, Motion
-from estimation.mount import Mount
+from estimation.mount.axes import Mount
 from estimation.mskf import P, V
 from estimation.orientation import matrix
 from estimation.pipeline_state import PipelineState, Start
+from estimation.recognition.burst import prepare as prepare_bursts
+from estimation.recognition.kernels import Kernel
+from estimation.recognition.motion import Context, Decision, Motion
+from estimation.recognition.steps import Block, StepBank
 from estimation.records import (
     CanState,
     Displacement,
@@ -35,21 +49,7 @@ from estimation.records import (
     Tick,
     Tier,
 )
-from estimation.second_opinion import (
-    FELT,
-    GoesOn,
-    Opinion,
-    RunsAway,
-    Stands,
-    Unfelt,
-    second_opinion,
-    seen_evidence,
-    sensor_speed,
-    sensor_stands,
-    shown_move,
-)
 from estimation.settings import EstimatorSettings, MountSettings, SupportSettings
-from estimation.steps import Block, StepBank
 from estimation.track import Ending, Step, Track
 
 __all__ = ["Pipeline", "Start"]

@@ -12,14 +12,14 @@ from pydantic import ConfigDict, TypeAdapter
 
 from estimation.belief import Belief
 from estimation.blocks import BlockCutter
-from estimation.displacement_sensor import DisplacementSensor, Reading
+from estimation.displacement.sensor import DisplacementSensor, Reading
+from estimation.displacement.slope import Slope
 from estimation.learned import Learned, Machine, prior_of
 from estimation.mskf import LEARNED, Filter
+from estimation.recognition.segments import SegmentRecogniser
+from estimation.recognition.steps import StepBank
 from estimation.records import CanState
-from estimation.segments import SegmentRecogniser
 from estimation.settings import EstimatorSettings, SupportSettings
-from estimation.slope import Slope
-from estimation.steps import StepBank
 from estimation.supervision import Supervisor
 from estimation.track import Step, Track
 

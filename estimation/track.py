@@ -11,12 +11,12 @@ from math import sqrt
 
 from estimation.belief import STOP_BURST_S, Belief, Phase
 from estimation.chart import ControlChart
-from estimation.displacement_sensor import GATE_SIGMAS, TRUST_SIGMAS, Reading
+from estimation.displacement.sensor import GATE_SIGMAS, TRUST_SIGMAS, Reading
 from estimation.gaussian import Gaussian
-from estimation.motion import Motion
 from estimation.mskf import LEARNED, LEVEL_DRIFT_M_S2, SPEED, Filter, P, flow_state
 from estimation.noise import ACCEL_NOISE
 from estimation.orientation import IDENTITY, Quaternion, corrected, matrix, propagated
+from estimation.recognition.motion import Motion
 from estimation.records import Vector
 from estimation.settings import EstimatorSettings
 

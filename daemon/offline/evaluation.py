@@ -26,7 +26,7 @@ from drivers.virtual.support import PlacedTrajectory, VirtualSupport
 from estimation.pipeline import Pipeline, Start
 from estimation.records import Displacement, ImuSample, Move, Output, Record
 from estimation.settings import MountSettings
-from estimation.settled_smoother import SettledSmoother, SmoothedStep
+from estimation.smoothing.settled_smoother import SettledSmoother, SmoothedStep
 
 FILTER_TAPS_EXPONENT, GYRO_RANGE_DPS = 2, 500  # the driver's defaults
 

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from daemon.offline.scenarios import EvaluationScenario
 from drivers.virtual.motion import TrueMove
 from drivers.virtual.support import VirtualSupport
-from estimation.displacement_sensor import GATE_SIGMAS
+from estimation.displacement.sensor import GATE_SIGMAS
 from estimation.records import CanState, Estimate, Event, Move, MoveKind, Output, Tier
 from estimation.settings import SupportSettings
-from estimation.settled_smoother import SmoothedStep
+from estimation.smoothing.settled_smoother import SmoothedStep
 
 CATASTROPHE_M = 0.05
 STANDS_S = 1.0  # after the start of deceleration every ram stands

@@ -14,7 +14,7 @@ from daemon.recording.topics import RecordedDisplacement
 from daemon.stream import is_possible
 from drivers.adis16448.burst import Burst, BurstDecoder, Fault
 from drivers.adis16448.identity import Identity
-from estimation.mount_calibration import Axis, MountCalibration, MountEstimate, Verdict
+from estimation.mount.calibration import Axis, MountCalibration, MountEstimate, Verdict
 from estimation.records import ImuSample, SensorChange
 from estimation.settings import MountSettings
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from math import isnan, nan, sqrt
 
 from estimation.records import Displacement
-from estimation.settled_smoother import SmoothedStep
+from estimation.smoothing.settled_smoother import SmoothedStep
 
 SIGMAS_95 = 1.96
 

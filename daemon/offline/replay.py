@@ -22,7 +22,7 @@ from daemon.stream import INPUTS, Sink, Stream
 from estimation.learned import Learned, prior_of
 from estimation.pipeline import Start
 from estimation.records import Estimate, Move, Record
-from estimation.settled_smoother import SettledSmoother, SmoothedStep
+from estimation.smoothing.settled_smoother import SettledSmoother, SmoothedStep
 
 _COMPARED = (topics.PROVISIONAL, topics.SETTLED)
 

@@ -24,7 +24,7 @@ from daemon.stream import Sink
 from drivers.adis16448.burst import Burst, Fault
 from estimation.methods.registry import OURS
 from estimation.records import CanState, Estimate, Event, Segment
-from estimation.settled_smoother import SmoothedStep
+from estimation.smoothing.settled_smoother import SmoothedStep
 
 GAP_S = 0.05
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from estimation.records import Move, Segment
-from estimation.settled_smoother import SmoothedStep
+from estimation.smoothing.settled_smoother import SmoothedStep
 
 
 @dataclass(slots=True)

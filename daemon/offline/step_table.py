@@ -10,7 +10,7 @@ from pathlib import Path
 
 from daemon.recording.errors import failed
 from estimation.records import Estimate
-from estimation.settled_smoother import SmoothedStep
+from estimation.smoothing.settled_smoother import SmoothedStep
 
 COLUMNS = (
     "t_s",

@@ -22,7 +22,7 @@ from daemon.recording.reader import Recording
 from daemon.recording.topics import Recorded
 from daemon.settings import Settings
 from estimation.arrays import FloatArray
-from estimation.displacement_sensor import GATE_SIGMAS
+from estimation.displacement.sensor import GATE_SIGMAS
 from estimation.records import CanState, Estimate
 from estimation.tuning.local import from_point
 from estimation.tuning.search import Found, Search, Spent

@@ -26,7 +26,7 @@ from drivers.virtual.faulty_values import faulty_observations
 from drivers.virtual.part import VirtualPart
 from drivers.virtual.scenarios import SCENARIOS
 from drivers.virtual.support import VirtualSupport
-from estimation.mount import Mount
+from estimation.mount.axes import Mount
 from estimation.settings import MountSettings
 
 _log = logging.getLogger(__name__)

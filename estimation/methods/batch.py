@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimation.arrays import FloatArray
-from estimation.mount import Mount
+from estimation.mount.axes import Mount
 from estimation.records import Displacement, ImuSample, Move, MoveKind, Record
 from estimation.settings import MountSettings, SupportSettings, TwoStateSettings
 

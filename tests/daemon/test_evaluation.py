@@ -26,7 +26,7 @@ from daemon.offline.evaluation_summary import (
 from daemon.offline.scenarios import SCENARIOS_OF_EVALUATION
 from drivers.virtual.support import PlacedTrajectory
 from estimation.records import CanState, Estimate, Move, MoveKind, Output, Segment, Tier
-from estimation.settled_smoother import SmoothedStep
+from estimation.smoothing.settled_smoother import SmoothedStep
 
 CASE = Case("nominal", 3, "fused")
 

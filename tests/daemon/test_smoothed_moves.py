@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from daemon.offline.smoothed_moves import SmoothedMoves
 from estimation.records import CanState, Estimate, Move, MoveKind, Segment, Tier
-from estimation.settled_smoother import SmoothedStep
+from estimation.smoothing.settled_smoother import SmoothedStep
 
 NAN = float("nan")
 

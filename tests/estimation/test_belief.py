@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from estimation.belief import SEGMENT_OF, Belief, Free, Phase
-from estimation.motion import Decision, Motion
+from estimation.recognition.motion import Decision, Motion
 from estimation.records import Segment
 
 S = 10**9

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from estimation.blocks import SAMPLES_PER_STEP, BlockCutter
-from estimation.mount import Mount
+from estimation.mount.axes import Mount
 from estimation.records import ImuSample, Vector
 from estimation.settings import MountSettings
 from estimation.track import Step

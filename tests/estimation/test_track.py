@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from estimation.belief import Belief, Phase
-from estimation.displacement_sensor import Reading
-from estimation.motion import Motion
+from estimation.displacement.sensor import Reading
 from estimation.mskf import PUSH_FLOW, SPEED, Filter, P
+from estimation.recognition.motion import Motion
 from estimation.records import Vector
 from estimation.settings import EstimatorSettings, SupportSettings
 from estimation.track import Step, Track

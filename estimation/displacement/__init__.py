@@ -1,0 +1,1 @@
+"""The observed displacement: what its sensor is thought to be, and what it says of moves."""

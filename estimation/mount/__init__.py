@@ -1,0 +1,1 @@
+"""Which way the sensor sits: its axes, and how a recording tells them."""

@@ -1,0 +1,1 @@
+"""Fixed-interval estimates: what all of a recording says of each step."""
