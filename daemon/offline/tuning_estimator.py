@@ -121,11 +121,14 @@ def tune_estimator(
                 progress(len(known))
         return known[x.tobytes()]
 
+    moves = len(scores(middle))
     _check(scores(middle), goal, paths)
 
     def search(parts: Sequence[int]) -> Found:
         def value(candidates: FloatArray) -> FloatArray:
-            return np.array([_mean(scores(x), goal, parts) for x in candidates])
+            told = [scores(x) for x in candidates]
+            # Noises with which other moves are found are no candidates: their scores are of something else.
+            return np.array([_mean(one, goal, parts) if len(one) == moves else np.inf for one in told])
 
         searched = Search(value, low, high, budget)
         with suppress(Spent):
@@ -134,10 +137,10 @@ def tune_estimator(
 
     whole = search((0, 1))
     halves = (search((0,)), search((1,)))
-    after = [(_sum(scores(half.x), goal, (1 - part,))) for part, half in enumerate(halves)]
+    after = [_sum(scores(half.x), goal, (1 - part,)) for part, half in enumerate(halves)]
     return TunedEstimator(
         goal,
-        len(scores(middle)),
+        moves,
         dict(zip(PARAMETERS, (10.0**whole.x).tolist(), strict=True)),
         before,
         whole,
