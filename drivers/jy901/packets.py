@@ -89,7 +89,8 @@ def encode(kind: Kind, words: tuple[int, int, int, int]) -> bytes:
 class Parser:
     """Packets out of a stream of bytes, whatever comes between them."""
 
-    skipped: int = 0  # bytes that belong to no packet
+    fed: int = 0  # bytes so far
+    skipped: int = 0  # of them, those that belong to no packet
     bad_checksums: int = 0  # heads with a kind behind them whose sum was wrong
     _rest: bytearray = field(default_factory=bytearray)
     _taken: int = 0  # bytes that are done with
@@ -97,6 +98,7 @@ class Parser:
     def feed(self, data: bytes) -> list[Packet]:
         """The packets that these bytes complete. Memory stays below one packet between calls."""
         self._rest += data
+        self.fed += len(data)
         found: list[Packet] = []
         rest, place = self._rest, 0
         while len(rest) - place >= SIZE:
