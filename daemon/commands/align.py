@@ -14,6 +14,7 @@ HELP = (
     "beginning of a recording, each with its sigma, the limit that the sensor sets, and whether it was observed. "
     "--benchmark aligns virtual sensors of five grades beside what theory allows and paper B prints."
 )
+NO_LIMIT_DEG = 70.0  # of a heading: that is anything
 EXAMPLE = "ramstroke align shift1.mcap --latitude 39.84 --heading 35"
 
 
@@ -63,6 +64,8 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError("name the recording to align on, or --benchmark")
     if arguments.latitude is None:
         raise UsageError("--latitude is needed: gravity and the Earth's rate depend on it")
+    if not arguments.duration > 0:
+        raise UsageError("--duration must be above 0 s")
     if arguments.heading is not None and not isfinite(arguments.heading):
         raise UsageError("--heading must be a finite number of degrees")
     grade = grades[choices.known("--grade", arguments.grade, grades)]
@@ -102,6 +105,8 @@ def run(arguments: argparse.Namespace) -> int:
     _print(angles, found.rest_s, found.shocks, [*found.gyro_bias_deg_s.tolist()], arguments.heading)
     for fault in found.faults:
         terminal.say(f"Doubtful: {fault}.")
+    if found.faults and arguments.grade == "adis16448_in_run":
+        terminal.say("For an ADIS16448 whose turn-on biases have not been taken out: --grade adis16448_turn_on.")
     return 0
 
 
@@ -121,7 +126,7 @@ def _print(
             angle["angle"],
             "–" if isnan(angle["value_deg"]) else f"{angle['value_deg']:.4f}",
             f"{angle['sigma_deg']:.4f}",
-            f"{angle['limit_deg']:.4f}",
+            f"{angle['limit_deg']:.4f}" if angle["limit_deg"] < NO_LIMIT_DEG else "none",
             f"{angle['of_prior']:.2f}",
             angle["verdict"],
         )

@@ -119,6 +119,8 @@ def _two_state(arguments: argparse.Namespace, settings: Settings | None) -> int:
         drawn = draw_tuning(observed, tuned, arguments.plot)
     row = row_of(tuned)
     if arguments.save is not None:
+        if tuned.better_log10_ratio is not None or not tuned.determined:
+            terminal.ERR.print("Saved all the same: what is said below about q/r holds for the file.")
         _save(arguments, settings, {"two_state": {"q": tuned.q, "r": tuned.r, "form": tuned.form}}, row)
     if arguments.json:
         terminal.print_json(
@@ -148,7 +150,9 @@ def _print_two_state(row: dict[str, Any], moves: int) -> None:
 
     from daemon import terminal
 
-    made = terminal.table(f"Q and R of the two-state filter, {moves} moves", "what", "value")
+    made = terminal.table(
+        f"Q and R of the two-state filter, {moves} {'move' if moves == 1 else 'moves'}", "what", "value"
+    )
     unit = "(m/s²)²" if row["form"] == "BqB" else "m², (m/s)² per sample"
     made.add_row(f"q, {unit}", f"{row['q']:.4g}")
     made.add_row("r, m²", f"{row['r']:.4g} (a reading is off by {row['r'] ** 0.5 * 1e3:.2f} mm)")
@@ -156,12 +160,16 @@ def _print_two_state(row: dict[str, Any], moves: int) -> None:
     if row["objective"] == "ml":
         ends = [row[f"log10_ratio_{end}"] for end in ("low", "high")]
         made.add_row(
-            "3 sigma of it", " to ".join(f"{end:.2f}" if isfinite(end) else "beyond the range" for end in ends)
+            "3 sigma of the optimum", " to ".join(f"{end:.2f}" if isfinite(end) else "beyond the range" for end in ends)
         )
     made.add_row("evaluations", str(row["evaluations"]))
     made.add_row("innovations white (Ljung-Box p)", f"{row['whiteness_p']:.3g}")
     made.add_row("NIS, share within its 95 %", f"{row['nis']:.2f}, {row['nis_inside_95']:.3f}")
     terminal.OUT.print(made)
+    if row["better_log10_ratio"] is not None:
+        terminal.say(
+            f"The method {row['method']} missed the optimum: auto finds log10(q/r) = {row['better_log10_ratio']:.3f}."
+        )
     if not row["determined"]:
         terminal.say(
             "Not determined: these moves do not tell q/r within two decades; record more of them, or set Q and R "
@@ -202,10 +210,11 @@ def _estimator(arguments: argparse.Namespace, settings: Settings | None) -> int:
         if not row["better"]:
             terminal.ERR.print("On moves not tuned on the new values are no better; they are saved all the same.")
         _save(arguments, settings, {"estimator": tuned.values}, row)
+    drawn: list[Path] = []
     if arguments.plot is not None:
         from daemon.offline.tuning_plots import draw_search
 
-        draw_search(tuned.found, arguments.plot)
+        drawn = draw_search(tuned.found, arguments.plot)
     if arguments.json:
         row["history"] = tuned.found.history
         files = [str(path) for path in arguments.files]
@@ -217,8 +226,12 @@ def _estimator(arguments: argparse.Namespace, settings: Settings | None) -> int:
     unit = "deviance a reading" if tuned.goal == "ml" else "mean squared error, mm²"
     made.add_row(f"on moves not tuned on: {unit}", f"{tuned.judged_before:.4f}", f"{tuned.judged_after:.4f}")
     terminal.OUT.print(made)
-    if not row["better"]:
+    if tuned.values == tuned.before:
+        terminal.say(f"Nothing better was found in {tuned.found.evaluations} runs.")
+    elif not row["better"]:
         terminal.say("On moves that were not tuned on the new values are no better: keep the old ones.")
+    for path in drawn:
+        terminal.say(f"Picture: {path}")
     return 0
 
 

@@ -13,7 +13,7 @@ NOTES = {
         "Paper A prints the bare error, 0.39747 (PSO) to 0.020527 (IFOA), without dt, length or noise. With fixed data "
         "a working PSO and GA reach the optimum, so its first two rows cannot occur; what fits all five is a noise "
         "scaled by the candidate Q and R. AS-1 is its set-up as near as it can be read: all tuners solve it. "
-        "The others tell them apart: a fly cannot set the scale of S = 1/Dist."
+        "The others tell them apart: paper A's flies cannot set the scale of S = 1/Dist."
     ),
     "functions": (
         "Paper B's flies find optima at the origin, because S = 1/Dist runs to 0 there; moved optima they miss. "
@@ -25,9 +25,15 @@ NOTES = {
 def run(arguments: argparse.Namespace) -> int:
     """Compare all of them, or the one that is named."""
     from daemon import terminal
+    from daemon.errors import UsageError
     from daemon.offline.tuning_benchmark import ON_ARTIFICIAL, ON_FUNCTIONS, benchmark, count, summarise
+    from estimation.tuning.optimisers import OPTIMISERS
 
     kind = arguments.benchmark
+    if arguments.budget is not None or arguments.target != "kf2" or arguments.objective != "ml":
+        raise UsageError("--benchmark has a budget, target and objective of its own: leave these options out")
+    if kind == "functions" and (OPTIMISERS[arguments.method].log10 or arguments.method == "grid"):
+        raise UsageError(f"--method {arguments.method} is for Q and R: the functions have arguments of either sign")
     usual = ON_ARTIFICIAL if kind == "artificial" else ON_FUNCTIONS
     methods = usual if arguments.method == "auto" else (arguments.method,)
     with terminal.progress("runs", count(kind, arguments.seeds, methods)) as progress:

@@ -80,6 +80,8 @@ def align(
     Raises:
         RecordingError: there is too little rest, or none.
     """
+    if not duration_s > 0:
+        raise ValueError("a duration must be above 0 s")
     batch = _batch(path, progress)
     rest_s = min(batch.moves[0].onset_s - BEFORE_MOVE_S if batch.moves else float(batch.t_s[-1]), duration_s)
     if rest_s < LEAST_S:
@@ -123,6 +125,10 @@ def align(
         )
         fine.step(kept_rate * BLOCK_S, kept_force * BLOCK_S, BLOCK_S)
     told = verdicts(fine.sigma, prior, grade, place)
+    if faults.force:
+        told = (Verdict.DOUBTFUL, Verdict.DOUBTFUL, told[2])
+    if faults.rate and not blind:
+        told = (*told[:2], Verdict.DOUBTFUL)
     if blind:
         told = (*told[:2], Verdict.REFUSED if heading_deg is None else Verdict.NOT_OBSERVED)
     return Alignment(
@@ -131,7 +137,7 @@ def align(
         _angles(fine, prior, bound, told),
         np.degrees(bias),
         blind,
-        faults,
+        faults.sentences,
         float(fine.innovations_2) / (2 * fine.steps),
     )
 

@@ -35,7 +35,7 @@ def benchmark(runs: int, seed: int, progress: Callable[[int], None] | None = Non
             rows.append(
                 {
                     "scenario": name,
-                    "about": f"{case.grade}, {case.duration_s:g} s",
+                    "about": f"{case.grade}, {case.latitude_deg:g}°, {case.duration_s:g} s",
                     "runs": runs,
                     "axis": axis,
                     "rms_deg": float(np.degrees(one_rms)),

@@ -10,6 +10,8 @@ from pydantic import ValidationError
 from daemon.toml_errors import ConfigurationError, plain, read_toml
 from estimation.alignment.sensor import SensorGrade
 
+SHOWN = 4  # faults of a file
+
 
 def load_grades(path: Path | None = None) -> dict[str, SensorGrade]:
     """All grades of the file, or of the program's own. Raises ConfigurationError."""
@@ -25,5 +27,8 @@ def load_grades(path: Path | None = None) -> dict[str, SensorGrade]:
                 for fault in error.errors()
             ]
     if faults:
-        raise ConfigurationError(faults)
+        more = (
+            [f"{path}: and {len(faults) - SHOWN} more; is it a file of sensor grades?"] if len(faults) > SHOWN else []
+        )
+        raise ConfigurationError(faults[:SHOWN] + more)
     return grades

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
 import tomlkit
 from tomlkit.exceptions import TOMLKitError
+from tomlkit.items import Table
 
-from daemon.configuration import load
+from daemon.configuration import ConfigurationError, load
 from daemon.errors import UsageError
 from daemon.offline.tuning_recordings import fingerprint
 from daemon.recording.metadata import program_version
@@ -29,42 +31,66 @@ def save(
     Written beside it and moved into place once it has been read back as a good configuration. Raises UsageError, or
     ConfigurationError where the file as it stands is none.
     """
+    path = path.resolve()  # a link stays one
     if path.exists():
         load(path)  # refuse to write into what is no good configuration
-        document = tomlkit.parse(path.read_text(encoding="utf-8"))
+        with path.open(encoding="utf-8", newline="") as file:  # its ends of line stay, too
+            document = tomlkit.parse(file.read())
     else:
-        plain = json.loads(settings.model_dump_json(exclude_none=True))
-        document = tomlkit.parse(tomlkit.dumps(plain))
-    try:
-        for section, keys in values.items():
-            table = document.setdefault(section, tomlkit.table())
-            origin = _origin(files, row)
-            for key, value in keys.items():
-                said = (
-                    table[key].trivia.comment.removeprefix("#").partition(MARK)[0].rstrip("; ") if key in table else ""
-                )
-                table[key] = _number(value)
-                if comment := "; ".join(part for part in (said.strip(), origin) if part):
-                    table[key].comment(comment)
-                origin = ""  # once is enough
-        text = tomlkit.dumps(document)
-    except TOMLKitError as error:
-        raise UsageError(f"--save {path}: {error}") from error
+        document = tomlkit.parse(tomlkit.dumps(json.loads(settings.model_dump_json(exclude_none=True))))
+    origin = _origin(files, row)
     draft = path.with_name(path.name + ".new")
     try:
-        draft.write_text(text, encoding="utf-8")
+        for section, keys in values.items():
+            _put(document, section, keys, origin)
+        with draft.open("w", encoding="utf-8", newline="") as file:
+            file.write(tomlkit.dumps(document))
         load(draft)
         os.replace(draft, path)
+    except (TOMLKitError, ConfigurationError) as error:
+        raise UsageError(f"--save {path}: its form is beyond what can be edited here; name a new file") from error
     except OSError as error:
         raise UsageError(f"--save {path}: {error.strerror}; name a file in a folder that can be written") from error
     finally:
         draft.unlink(missing_ok=True)
 
 
+def _put(document: Any, section: str, keys: dict[str, Any], origin: str) -> None:
+    """Values that stand there are replaced in place, new ones come first in their section, above what is commented."""
+    table = document.get(section, tomlkit.table())
+    said = {key: _said(table[key]) for key in keys if key in table}
+    fresh = tomlkit.table()
+    for key, value in keys.items():
+        if key not in table:
+            fresh.add(key, _number(value))
+    body: Iterable[tuple[Any, Any]] = table.value.body if isinstance(table, Table) else table.items()
+    for name, item in body:
+        if name is None:
+            fresh.add(item)  # a comment, an empty line
+        else:
+            fresh.add(name, item)
+    first = next(iter(keys))
+    for key, value in keys.items():
+        fresh[key] = _number(value)
+        comment = "; ".join(part for part in (said.get(key, ""), origin if key == first else "") if part)
+        if comment:
+            fresh[key].comment(comment)
+    document[section] = fresh
+
+
+def _said(item: Any) -> str:
+    """A value's own comment, without what an earlier tuning said."""
+    comment: str = item.trivia.comment
+    return comment.removeprefix("#").partition(MARK)[0].strip().rstrip(";").strip()
+
+
 def _origin(files: Sequence[Path], row: dict[str, Any]) -> str:
     """Where the values come from, for a comment."""
-    spread = row.get("log10_ratio_low"), row.get("log10_ratio_high")
-    interval = "" if None in spread else f", log10(q/r) {spread[0]:.2f} to {spread[1]:.2f} (3 sigma)"
+    ends = [row.get(f"log10_ratio_{end}") for end in ("low", "high")]
+    known = [end for end in ends if end is not None and isfinite(end)]
+    interval = f", log10(q/r) {known[0]:.2f} to {known[1]:.2f} (3 sigma)" if len(known) == 2 else ""
+    if row.get("determined") is False:
+        interval += ", NOT DETERMINED by these moves"
     return (
         f"{MARK} {program_version()}, {datetime.now(UTC):%Y-%m-%d}: method {row['method']}, objective "
         f"{row['objective']}, seed {row['seed']}, {row['evaluations']} evaluations{interval}; "

@@ -71,7 +71,7 @@ def draw_paper_a(folder: Path, scenario: str = "AS-1", seed: int = 0) -> list[Pa
     courses = {name: estimate(motion, one.q / one.r) for name, one in tuned.items()}
     drawn = []
     for number, what in ((7, "distance"), (8, "error")):
-        figure, axes = _figure(1, 1, f"paper a {number}, {scenario}, seed {seed}: {what} by tuner")
+        figure, axes = _figure(1, 1, f"paper A, figure {number}, {scenario}, seed {seed}: {what} by tuner")
         inset = axes[0].inset_axes((0.58, 0.08, 0.4, 0.36))
         for one, names in ((axes[0], FLIES_OF_A), (inset, RIVALS_OF_A)):
             if what == "distance":
@@ -95,7 +95,7 @@ def draw_functions(rows: Sequence[Row], folder: Path) -> list[Path]:
     """Figure 4 of paper B: best value so far against the evaluations, median over the seeds, a panel per function."""
     drawn = []
     for variant in dict.fromkeys(row.variant for row in rows):
-        figure, axes = _figure(2, 3, f"paper b 4, {variant} functions: best value so far, over the optimum")
+        figure, axes = _figure(2, 3, f"paper B, figure 4, {variant} functions: best value so far, over the optimum")
         for one, (name, function) in zip(axes, FUNCTIONS.items(), strict=True):
             of_panel = [row for row in rows if row.problem == name and row.variant == variant]
             for method in dict.fromkeys(row.method for row in of_panel):

@@ -149,6 +149,7 @@ def row_of(tuned: Tuned) -> dict[str, Any]:
         "log10_ratio_low": low,
         "log10_ratio_high": high,
         "determined": tuned.determined,
+        "better_log10_ratio": tuned.better_log10_ratio,
         "value": tuned.value,
         "evaluations": tuned.evaluations,
         "whiteness_p": tuned.check.whiteness_p,

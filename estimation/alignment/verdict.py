@@ -23,6 +23,7 @@ class Verdict(StrEnum):
 
     OBSERVED = "observed"
     NOT_OBSERVED = "not observed: value is the prior"
+    DOUBTFUL = "doubtful: this grade does not explain what was felt"
     REFUSED = "refused: the gyroscopes cannot feel the Earth's rate"
 
 
@@ -50,13 +51,26 @@ def verdicts(sigma: FloatArray, prior: Prior, grade: SensorGrade, place: Place) 
     return level[0], level[1], heading
 
 
-def rest_faults(force: FloatArray, rate: FloatArray, duration_s: float, grade: SensorGrade, place: Place) -> list[str]:
-    """Sentences about mean force and rate (3,) that a resting sensor of this grade at this place cannot feel."""
-    faults = []
+@dataclass(frozen=True)
+class RestFaults:
+    """A sentence each, empty where all is well."""
+
+    force: str
+    rate: str
+
+    @property
+    def sentences(self) -> list[str]:
+        """Those there are."""
+        return [sentence for sentence in (self.force, self.rate) if sentence]
+
+
+def rest_faults(force: FloatArray, rate: FloatArray, duration_s: float, grade: SensorGrade, place: Place) -> RestFaults:
+    """What in mean force and rate (3,) a resting sensor of this grade at this place cannot feel."""
+    on_force = on_rate = ""
     wide = hypot(grade.accel_bias, grade.velocity_walk / duration_s**0.5)
     off = float(np.linalg.norm(force)) - place.gravity_m_s2
     if abs(off) > MOVED_SIGMAS * wide:
-        faults.append(
+        on_force = (
             f"the force felt is {off:+.4f} m/s² off gravity ({place.gravity_m_s2:.4f}), {abs(off) / wide:.0f} sigma of "
             "this grade: the accelerometers are worse, or the sensor did not rest"
         )
@@ -64,11 +78,11 @@ def rest_faults(force: FloatArray, rate: FloatArray, duration_s: float, grade: S
     wide = 3**0.5 * hypot(grade.gyro_bias, grade.angle_walk / duration_s**0.5)
     off = float(np.linalg.norm(rate)) - RATE_RAD_S
     if abs(off) > MOVED_SIGMAS * wide:
-        faults.append(
+        on_rate = (
             f"the rate felt is {np.degrees(off) * 3600:+.0f} deg/h off the Earth's, {abs(off) / wide:.0f} sigma of "
             "this grade: the gyroscopes' turn-on bias is larger, or the sensor turned"
         )
-    return faults
+    return RestFaults(on_force, on_rate)
 
 
 def _gyro_heading(grade: SensorGrade, place: Place) -> float:

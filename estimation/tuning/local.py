@@ -19,7 +19,8 @@ DESCENT_FTOL = 1e-7  # of the spread of values: nearer comes Nelder-Mead, more s
 def line(search: Search) -> None:
     """One parameter: a grid of 17 over the range, then Brent's bounded search between the best one's neighbours."""
     grid = np.linspace(search.low[0], search.high[0], GRID)
-    between_neighbours(search, grid, search(grid[:, None]))
+    values = search(grid[:, None])
+    between_neighbours(search, grid[: len(values)], values)
 
 
 def between_neighbours(search: Search, grid: FloatArray, values: FloatArray) -> None:

@@ -30,6 +30,8 @@ THREE_SIGMA = 9.0  # of the deviance over its least: 99.7 % of log10(q/r)
 PAPER_BOX = [(-5.0, 5.0)] * 2  # of Q and R, paper A's population range; the size of a candidate counts
 PAPER_START = np.array([2.0, 2.0])  # initial population of paper A's GA
 LAGS = 20
+LEAST_BUDGET = 20  # a generation of flies, or the grid
+MISSED_DEVIANCE, MISSED_SHARE = 0.1, 1e-3  # over the optimum of the line: then a method has not found it
 
 
 @dataclass(frozen=True)
@@ -53,7 +55,8 @@ class Tuned:
     value: float  # of the objective: mean squared error, or deviance
     interval: tuple[float, float] | None  # 3 sigma (99.7 %) of log10(q/r) by profile likelihood; None with a truth
     determined: bool
-    evaluations: int
+    better_log10_ratio: float | None  # what `auto` finds, where this method has missed the optimum
+    evaluations: int  # of the search, its scan and the interval
     history: list[tuple[int, float]]
     check: Check
 
@@ -92,19 +95,30 @@ def tune(
         raise ValueError("there is no true displacement to tune against; the objective ml needs none")
     if method not in OPTIMISERS:
         raise ValueError(f"the method {method} is unknown; there are {', '.join(OPTIMISERS)}")
-    if budget < 1:
-        raise ValueError(f"a budget of {budget} evaluations finds nothing; it must be 1 or more")
+    if budget < LEAST_BUDGET:
+        raise ValueError(f"a budget of {budget} evaluations finds nothing; it must be {LEAST_BUDGET} or more")
     problem = _Problem(motions, goal)
     if OPTIMISERS[method].positive or OPTIMISERS[method].log10 or method in ("pso", "ga"):
         found, q, r = problem.by_both(method, seed, budget)
     else:
         found, q, r = problem.by_ratio(method, seed, budget)
-    interval = problem.interval(log10(q / r)) if goal == "ml" else None
+    best = found if method in (AUTO, "grid") else problem.by_ratio(AUTO, seed, BUDGET)[0]
+    best_ratio = float(best.x[0])
+    interval = problem.interval(best_ratio) if goal == "ml" else None
     low, high = interval or (-inf, inf)
-    determined = high - low <= WIDEST_DECADES if interval else problem.is_inside(log10(q / r))
-    evaluations = found.evaluations + problem.more_evaluations
     return Tuned(
-        method, goal, form, q, r, found.value, interval, determined, evaluations, found.history, check(motions, q, r)
+        method,
+        goal,
+        form,
+        q,
+        r,
+        found.value,
+        interval,
+        high - low <= WIDEST_DECADES if interval else problem.is_inside(best_ratio),
+        best_ratio if problem.is_missed(q / r, best.value) else None,
+        found.evaluations + problem.more_evaluations,
+        found.history,
+        check(motions, q, r),
     )
 
 
@@ -185,6 +199,11 @@ class _Problem:
             if self._deviance(outer) > level:
                 return float(brentq(lambda x: self._deviance(x) - level, inner, outer, xtol=INTERVAL_XTOL))
             inner = outer
+
+    def is_missed(self, ratio: float, best: float) -> bool:
+        """Whether a ratio is worse than the best value of the objective over log10(q/r)."""
+        value = float(self._of(fit(self.motions, np.array([ratio])))[0])
+        return value > (best + MISSED_DEVIANCE if self.goal == "ml" else best * (1.0 + MISSED_SHARE))
 
     def is_inside(self, log10_ratio: float) -> bool:
         """Whether the best is no end of the range searched."""

@@ -91,6 +91,23 @@ def test_saved_values_are_used_by_kf2_and_keep_what_stood_in_the_file(
     assert ends[0] != ends[1]
 
 
+def test_saving_keeps_inline_tables_links_ends_of_line_and_headings(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    target, link = tmp_path / "target.toml", tmp_path / "link.toml"
+    target.write_bytes(b"# ours\r\n[two_state]\r\nq = 3.0 # by hand\r\n\r\n# --- next ---\r\n[support]\r\n")
+    link.symlink_to(target)
+    result = told(capsys, RECORDING, "--save", link)["result"]
+    assert link.is_symlink()
+    text = target.read_bytes()
+    assert b"# ours\r\n[two_state]\r\n" in text
+    assert text.index(b"form =") < text.index(b"# --- next ---") < text.index(b"[support]")
+    inline = tmp_path / "inline.toml"
+    inline.write_text("two_state = {q = 1.0}\n")
+    told(capsys, RECORDING, "--save", inline)
+    assert load(inline).two_state.q == pytest.approx(result["q"], rel=1e-5)
+
+
 def test_process_noises_of_our_own_estimator(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     config = tmp_path / "tuned.toml"
     answer = told(capsys, RECORDING, "--target", "mskf", "--budget", 4, "--save", config, "--plot", tmp_path)
@@ -140,6 +157,10 @@ def test_benchmark_of_the_functions_prints_the_papers_figures_beside(
         ([], 2, "name the recordings"),
         ([RECORDING, RECORDING], 2, "named twice"),
         ([RECORDING, "--budget", "0"], 2, "--budget must be at least 1"),
+        ([RECORDING, "--budget", "5"], 1, "a budget of 5 evaluations finds nothing"),
+        (["--benchmark", "functions", "--method", "foa_log"], 2, "--method foa_log is for Q and R"),
+        (["--benchmark", "functions", "--method", "grid"], 2, "--method grid is for Q and R"),
+        (["--benchmark", "functions", "--budget", "50"], 2, "leave these options out"),
         ([RECORDING, "--jobs", "0"], 2, "--jobs must be at least 1"),
         ([RECORDING, "--seed", "-1"], 2, "--seed must not be negative"),
         ([RECORDING, "--method", "ifao_a"], 2, "did you mean ifoa_a?"),

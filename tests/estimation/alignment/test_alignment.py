@@ -247,8 +247,8 @@ def test_more_than_the_bound_is_never_claimed(aligned: dict[str, Aligned]) -> No
 def test_a_sensor_that_moves_or_is_worse_than_its_grade_is_noticed() -> None:
     place, grade = Place(40), GRADES["tactical"]
     force, rate = np.array([0, 0, place.gravity_m_s2]), place.rate
-    assert rest_faults(force, rate, 50, grade, place) == []
-    (sentence,) = rest_faults(force * 1.01, rate, 50, grade, place)
+    assert rest_faults(force, rate, 50, grade, place).sentences == []
+    (sentence,) = rest_faults(force * 1.01, rate, 50, grade, place).sentences
     assert "off gravity" in sentence
-    (sentence,) = rest_faults(force, rate + np.array([0, 0, 1e-3]), 50, grade, place)
+    (sentence,) = rest_faults(force, rate + np.array([0, 0, 1e-3]), 50, grade, place).sentences
     assert "turn-on bias" in sentence

@@ -200,9 +200,19 @@ def test_bad_problems_are_refused_in_one_sentence() -> None:
         (([], "BqB"), "no motion"),
         (([motion], "BqB", "auto", "truth"), "no true displacement"),
         (([motion], "BqB", "ant"), "the method ant is unknown"),
-        (([motion], "BqB", "auto", "ml", 0, 0), "a budget of 0"),
+        (([motion], "BqB", "auto", "ml", 0, 1), "a budget of 1 evaluations finds nothing; it must be 20 or more"),
     ):
         with pytest.raises(ValueError, match=words):
             tune(*arguments)
-    one = tune([motion], "BqB", budget=1)
-    assert np.isfinite(one.q)
+    for method in ("auto", "foa", "de"):
+        assert np.isfinite(tune([motion], "BqB", method, budget=20).q)
+
+
+def test_a_method_that_missed_the_optimum_is_told_from_data_that_do_not_tell() -> None:
+    motion = observed(ARTIFICIAL["AS-5"], 0)
+    by_flies, best = tune([motion], "BqB", "foa"), tune([motion], "BqB")
+    assert by_flies.better_log10_ratio == pytest.approx(best.log10_ratio, abs=0.01)
+    assert by_flies.determined
+    assert by_flies.interval == pytest.approx(best.interval, abs=0.05)
+    assert best.better_log10_ratio is None
+    assert tune([motion], "BqB", "foa_log").better_log10_ratio is None
