@@ -6,15 +6,19 @@ import json
 from collections.abc import Callable
 from dataclasses import asdict
 
+from daemon.inertial import SampleDecoder
 from daemon.machine import machine_of
 from daemon.recording import topics
 from daemon.recording.metadata import LEARNED, SNAPSHOT
 from daemon.recording.topics import Recorded, RecordedDisplacement
 from daemon.settings import Settings
-from drivers.adis16448.burst import Burst, BurstDecoder, Fault
+from drivers.acquisition import AnyIdentity
+from drivers.adis16448.burst import Burst
 from drivers.adis16448.identity import Identity
 from drivers.can.displacement import build_decoders
 from drivers.can.frame import Frame
+from drivers.jy901.identity import Jy901Identity
+from drivers.jy901.reading import Reading
 from estimation.learned import Learned
 from estimation.pipeline import Pipeline, Start
 from estimation.records import Displacement, Estimate, ImuSample, Move, Output, Record, SensorChange, Tick, Tier
@@ -26,19 +30,13 @@ INPUTS = (
     topics.IMU_IDENTITY,
     topics.IMU_RAW,
     topics.IMU_SAMPLE,
+    topics.JY901_IDENTITY,
+    topics.JY901,
     topics.CAN_RX,
     topics.OBSERVED,
     topics.REFERENCE,
     topics.TICK,
 )
-
-# Beyond any inertial sensor (rad/s, m/s^2); only a damaged file or table holds more.
-_LARGEST_READING = 1e4
-
-
-def is_possible(sample: ImuSample) -> bool:
-    """Whether any inertial sensor could have felt this."""
-    return all(abs(value) < _LARGEST_READING for value in sample.gyro + sample.accel)
 
 
 class Stream:
@@ -68,7 +66,7 @@ class Stream:
         self._machine = machine_of(settings)
         if start is not None and start.learned is not None:
             self._machine = self._machine.named_as(start.learned.machine)
-        self._imu = BurstDecoder(settings.imu.gyro_range_dps)
+        self._imu = SampleDecoder(settings)
         observed, reference = build_decoders(settings.can) if settings.can.enabled else (None, None)
         self.decoders = [decoder for decoder in (observed, reference) if decoder is not None]
         self.pipeline = Pipeline(
@@ -80,26 +78,20 @@ class Stream:
             start=start,
         )
         self.samples = 0  # good inertial samples
-        self.bad_bursts = 0  # and impossible samples
-        self.identity: Identity | None = None  # of the inertial sensor
+        self.bad_bursts = 0  # and impossible or frozen samples
+        self.identity: AnyIdentity | None = None  # of the inertial sensor
         self.last_sample_ns: int | None = None
         self.last: Estimate | None = None  # provisional
 
     def take(self, topic: str, record: Recorded) -> None:
         """Take one input record."""
         self._sink(topic, record)
-        if isinstance(record, Burst):
-            if record.fault is not Fault.NONE:
-                self.bad_bursts += 1
-                return
-            self._feed_sample(self._imu.sample(record))
-        elif isinstance(record, Identity):
-            self._meet(record)
-        elif isinstance(record, ImuSample):
-            if is_possible(record):
-                self._feed_sample(record)
-            else:
-                self.bad_bursts += 1
+        if isinstance(record, Burst | Reading | ImuSample):
+            if self._imu.is_mine(record):
+                self._take_sample(self._imu.sample(record))
+        elif isinstance(record, Identity | Jy901Identity):
+            if self._imu.is_mine(record):
+                self._meet(record)
         elif isinstance(record, Frame):
             self._take_frame(record)
         elif isinstance(record, RecordedDisplacement):
@@ -135,14 +127,15 @@ class Stream:
         try:
             remembered = json.loads(head)
             memories, identity = remembered["decoders"], remembered["identity"]
-            self.identity = None if identity is None else Identity(**identity)
+            kind = Jy901Identity if self._imu.is_jy901 else Identity
+            self.identity = None if identity is None else kind(**identity)
             for decoder, memory in zip(self.decoders, memories, strict=True):
                 decoder.recall(memory)
         except (LookupError, TypeError, RecursionError) as error:
             raise ValueError("not a snapshot of this program") from error
         self.pipeline.restore(state)
 
-    def _meet(self, identity: Identity) -> None:
+    def _meet(self, identity: AnyIdentity) -> None:
         """The sensor may be the one that spoke before, started anew, or another one."""
         known, self.identity = self.identity, identity
         if known is not None and not identity.is_same_part(known):
@@ -156,7 +149,10 @@ class Stream:
                 self._sink(topic, RecordedDisplacement(reading, decoded=True))
                 self._feed(reading)
 
-    def _feed_sample(self, sample: ImuSample) -> None:
+    def _take_sample(self, sample: ImuSample | None) -> None:
+        if sample is None:
+            self.bad_bursts += 1
+            return
         self.samples += 1
         self.last_sample_ns = sample.t_ns
         self._feed(sample)

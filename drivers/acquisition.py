@@ -5,27 +5,55 @@ from __future__ import annotations
 import logging
 import os
 import threading
-from collections.abc import Callable
-from typing import Protocol
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
 
 from drivers.adis16448.burst import Burst
 from drivers.adis16448.identity import Identity
+from drivers.condition import Condition
+from drivers.jy901.identity import Jy901Identity
+from drivers.jy901.reading import Reading
 
-Block = list[Burst | Identity]
+AnyIdentity = Identity | Jy901Identity
+Block = list[Burst | Identity | Reading | Jy901Identity]
 
 _JOIN_S = 5.0
 
 _log = logging.getLogger(__name__)
 
 
-class Sensor(Protocol):
+class Source(Protocol):
     """What acquisition needs of a sensor."""
 
-    def read_block(self) -> Block:
+    def read_block(self) -> Sequence[Burst | Identity | Reading | Jy901Identity]:
         """The next samples, soon; none if none come. Raises nothing."""
 
     def close(self) -> None:
         """Give the ports back."""
+
+
+class Sensor(Source, Protocol):
+    """An inertial sensor of any kind."""
+
+    @property
+    def condition(self) -> Condition:
+        """How it is, in words."""
+
+    @property
+    def identity(self) -> AnyIdentity | None:
+        """The part that delivers, or did last."""
+
+    @property
+    def progress(self) -> int:
+        """Moves as long as caller and port come back, even if the part is ill."""
+
+    @property
+    def counters(self) -> Any:
+        """A dataclass of plain numbers with `samples` and `plus`."""
+
+    @property
+    def notes(self) -> list[str]:
+        """What a person should know although all is well."""
 
 
 class Acquisition:
@@ -37,7 +65,7 @@ class Acquisition:
         realtime_priority: SCHED_FIFO priority of the thread, 1 to 99; None: as all others.
     """
 
-    def __init__(self, sensor: Sensor, on_block: Callable[[Block], None], realtime_priority: int | None = None) -> None:
+    def __init__(self, sensor: Source, on_block: Callable[[Block], None], realtime_priority: int | None = None) -> None:
         self.lost_blocks = 0  # `on_block` raised
         self._sensor = sensor
         self._on_block = on_block
@@ -67,7 +95,7 @@ class Acquisition:
             while not self._stopping.is_set():
                 block = self._sensor.read_block()
                 if block:
-                    self._hand_over(block)
+                    self._hand_over(list(block))
         finally:
             self._sensor.close()
 

@@ -15,22 +15,42 @@ class Settings(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class MountSettings(Settings):
-    """Which way the inertial sensor's axes look, and on which part of the support it sits."""
+class AxesSettings(Settings):
+    """Which way a sensor's axes look."""
 
     push: SignedAxis = Field("+y", description="sensor axis that points in the direction of the push")
     up: SignedAxis = Field("+z", description="sensor axis that points up, another one than `push`")
-    imu_on: Literal["both", "link", "base"] = Field(
-        "both",
-        description="what carries the sensor: `link` feels only the push, `base` only the advance, "
-        "`both` (cylinder on a test bench) feels both",
+    pitch_deg: float = Field(
+        0.0,
+        ge=-45,
+        le=45,
+        description="how far these axes are tilted about the axis across, as `align` finds on level ground [deg]; "
+        "taken off before anything else",
     )
+    roll_deg: float = Field(0.0, ge=-45, le=45, description="the same about the push axis [deg]")
 
     @model_validator(mode="after")
     def _axes_differ(self) -> Self:
         if self.push[1] == self.up[1]:
             raise ValueError(f"push = {self.push!r} and up = {self.up!r} lie on the same axis; name two axes")
         return self
+
+
+class MountSettings(AxesSettings):
+    """Which way the inertial sensor's axes look, and on which part of the support it sits."""
+
+    heading_deg: float | None = Field(
+        None,
+        ge=-360,
+        le=360,
+        description="of the push, counter-clockwise from north, from the survey or from `align` [deg]; the estimate "
+        "needs none, `align` takes it as known",
+    )
+    imu_on: Literal["both", "link", "base"] = Field(
+        "both",
+        description="what carries the sensor: `link` feels only the push, `base` only the advance, "
+        "`both` (cylinder on a test bench) feels both",
+    )
 
 
 class SupportSettings(Settings):

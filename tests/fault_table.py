@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 from daemon.offline.replay import replay
-from drivers.virtual.faults import KINDS, BusFault, FaultScript, FrameFault, InterfaceFault
+from drivers.virtual.faults import KINDS, BusFault, FaultScript, FrameFault, InterfaceFault, Jy901Fault, SerialFault
 from estimation.records import CanState, Move, MoveKind
 from tests.acceptance.fault_scene import Outcome, is_ill, play, without_faults
 
@@ -27,6 +27,7 @@ NEEDED: dict[str, dict[str, Any]] = {
 # These kinds show only when the part is tested or asked who it is: the supply dips a moment before.
 NEEDS_A_RESTART = ("self_test_failure", "wrong_product_id")
 CAN_FAULTS = (*get_args(FrameFault), *get_args(BusFault), *get_args(InterfaceFault))
+JY901_FAULTS = (*get_args(SerialFault), *get_args(Jy901Fault))  # where a JY901 takes the place of the ADIS16448
 S = 1_000_000_000
 HEAD = f"""# What each fault does
 
@@ -74,8 +75,9 @@ def row_of(kind: str, folder: Path) -> Row:
     path = folder / f"{kind}.mcap"
     # A quarter of the samples will do where they are not the subject.
     decimation = 2 if issubclass(KINDS[kind], CAN_FAULTS) else 0
-    outcome = play(script_of(kind), recording=path, decimation_exponent=decimation)
-    plain = without_faults(decimation)
+    jy901 = issubclass(KINDS[kind], JY901_FAULTS)
+    outcome = play(script_of(kind), recording=path, decimation_exponent=decimation, jy901=jy901)
+    plain = without_faults(decimation, jy901=jy901)
     start, end = round(AT_S * S), round((AT_S + FOR_S) * S)
     lasting = [e for e in outcome.estimates if start <= e.t_ns < end + S]
     usual = [e for e in plain.estimates if start <= e.t_ns < end + S]
@@ -84,9 +86,9 @@ def row_of(kind: str, folder: Path) -> Row:
         kind,
         _more(outcome, plain),
         tuple(f"{part}: {condition.what}" for t_s, part, condition in outcome.said if is_ill(condition) and t_s > AT_S),
-        max(_first_after([b.t_ns for b in outcome.good], end), _first_after([r.t_ns for r in outcome.valid], end)),
-        _within([b.t_ns for b in outcome.good], start, end),
-        _within([b.t_ns for b in plain.good], start, end),
+        max(_first_after(outcome.good_ns, end), _first_after([r.t_ns for r in outcome.valid], end)),
+        _within(outcome.good_ns, start, end),
+        _within(plain.good_ns, start, end),
         _within([r.t_ns for r in outcome.valid], start, end),
         _within([r.t_ns for r in plain.valid], start, end),
         max((e.sigma_m for e in lasting), default=float("nan")) * 1e3,

@@ -21,6 +21,12 @@ EXAMPLE = "ramstroke demo --seed 7 --out /tmp/demo"
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.add_argument("--seed", type=int, default=1, help="which virtual support (default 1)")
+    parser.add_argument(
+        "--imu",
+        choices=("adis16448", "jy901", "both"),
+        default="adis16448",
+        help="inertial sensor: ADIS16448 (default), JY901, or the first with the second recorded beside it",
+    )
     parser.add_argument("--out", type=Path, default=Path("demo"), help="folder for the results (default demo)")
     parser.add_argument("--faults", type=Path, help="fault script, such as config/faults/wet_cable.toml")
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
@@ -45,7 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
             f"cannot make the folder {arguments.out} ({error.strerror}): choose another --out"
         ) from error
     recording, picture = arguments.out / "demo.mcap", arguments.out / "demo.png"
-    settings = demo_settings(arguments.seed)
+    settings = demo_settings(arguments.seed, arguments.imu)
     with terminal.progress("virtual cycle", 1.0) as progress:
         result = run_demo(settings, recording, progress, faults)
     plot_demo(picture, virtual_support(settings, cycles=1).truth(), result.settled, result.observed)

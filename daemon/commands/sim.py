@@ -40,8 +40,10 @@ def run(arguments: argparse.Namespace) -> int:
     from daemon.simulation.server import simulate
 
     settings = load(arguments.config)
-    if settings.imu.transport != "socket":
+    if settings.jy901.use != "instead" and settings.imu.transport != "socket":
         raise UsageError(f'{arguments.config}: sim serves imu.transport = "socket", not "{settings.imu.transport}"')
+    if settings.jy901.use != "no" and settings.jy901.transport != "serial":
+        raise UsageError(f'{arguments.config}: sim serves jy901.transport = "serial", not "virtual"')
     if settings.can.enabled and settings.can.interface == "virtual":
         raise UsageError(
             f'{arguments.config}: can.interface = "virtual" stays within one process: '

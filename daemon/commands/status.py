@@ -9,7 +9,7 @@ from typing import Any
 
 HELP = "Ask the running daemon what it sees: stroke, sensors, recorder, viewers."
 EXAMPLE = "ramstroke status --json"
-PARTS = ("imu", "can", "displacement", "estimator", "recorder", "loop")
+PARTS = ("imu", "jy901", "can", "displacement", "estimator", "recorder", "loop")
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -47,7 +47,7 @@ def run(arguments: argparse.Namespace) -> int:
     made = terminal.table(f"ramstroke {status['version']}", "part", "state", "counted")
     made.columns[1].justify = made.columns[2].justify = "left"
     made.add_row("stroke", stroke)
-    for part in PARTS:
+    for part in (one for one in PARTS if one != "jy901" or status["jy901"]["state"] != "off"):
         made.add_row(part, escape(_state(status[part], status["t_s"])), escape(_counters(status[part])))
     made.add_row("learned", learned_words(status["learned"]))
     live = status["live"]

@@ -14,10 +14,10 @@ from daemon.imu.messages import Health, LogLine, Orders, receive, send
 from daemon.imu.ports import inertial_sensor
 from daemon.service.process import settle_process
 from daemon.settings import Settings
-from drivers.acquisition import Acquisition, Block
+from drivers.acquisition import Acquisition, Block, Sensor
 from drivers.adis16448.identity import Identity
-from drivers.adis16448.machine import InertialSensor
 from drivers.clock import SystemClock
+from drivers.jy901.identity import Jy901Identity
 
 BUFFER_S = 60.0  # a parent stalled that long loses nothing
 HEALTH_S = 0.25
@@ -43,7 +43,7 @@ class Outbox:
             self._samples += len(block)
             while self._samples > self._most_samples and len(self._blocks) > 1:
                 oldest = self._blocks.popleft()
-                identities: Block = [item for item in oldest if isinstance(item, Identity)]
+                identities: Block = [item for item in oldest if isinstance(item, Identity | Jy901Identity)]
                 self._blocks[0] = identities + self._blocks[0]
                 self._samples -= len(oldest) - len(identities)
                 self.dropped += len(oldest) - len(identities)
@@ -92,15 +92,15 @@ def main() -> None:
     if not isinstance(orders, Orders):
         return
     settings = Settings.model_validate_json(orders.settings_json)
-    outbox = Outbox(round(BUFFER_S * settings.imu.nominal_rate_hz))
+    outbox = Outbox(round(BUFFER_S * settings.nominal_rate_hz))
     logging.getLogger().addHandler(_Relay(outbox))
     logging.getLogger().setLevel(logging.INFO)
     support = None
-    if settings.imu.transport == "virtual":
+    if settings.needs_support:
         from daemon.simulation.virtual import virtual_support
 
         support = virtual_support(settings, start_ns=orders.start_ns)
-    sensor = inertial_sensor(settings.imu, SystemClock(), support)
+    sensor = inertial_sensor(settings, SystemClock(), support)
     acquisition = Acquisition(sensor, outbox.put, settings.imu.realtime_priority)
     stopping = threading.Event()
     threading.Thread(target=_wait_for_end, args=(orders_in, stopping), name="parent", daemon=True).start()
@@ -113,9 +113,7 @@ def main() -> None:
     os._exit(0)
 
 
-def _send_all(
-    out: int, outbox: Outbox, sensor: InertialSensor, acquisition: Acquisition, stopping: threading.Event
-) -> None:
+def _send_all(out: int, outbox: Outbox, sensor: Sensor, acquisition: Acquisition, stopping: threading.Event) -> None:
     clock, due_ns, told = SystemClock(), 0, (sensor.condition, sensor.identity)
     while not stopping.is_set():
         for message in outbox.take(HEALTH_S):
@@ -130,7 +128,7 @@ def _send_all(
     send(out, _health(outbox, sensor))
 
 
-def _health(outbox: Outbox, sensor: InertialSensor) -> Health:
+def _health(outbox: Outbox, sensor: Sensor) -> Health:
     return Health(sensor.condition, sensor.counters, sensor.identity, sensor.notes, sensor.progress, outbox.dropped)
 
 

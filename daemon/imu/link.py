@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 from daemon.imu.ports import inertial_sensor
 from daemon.imu.process import ImuProcess
+from daemon.imu.roles import Role
 from daemon.settings import Settings
-from drivers.acquisition import Acquisition, Block
-from drivers.adis16448.counters import Counters
-from drivers.adis16448.identity import Identity
+from drivers.acquisition import Acquisition, AnyIdentity, Block
 from drivers.clock import Clock
 from drivers.condition import Condition
 
@@ -27,6 +26,7 @@ class ImuLink:
         clock: of the run.
         on_block: called in a foreign thread, an Identity first whenever the part was started.
         support: carries the virtual part, for the transport "virtual".
+        role: the sensor that is estimated from, or the one that is recorded beside it.
     """
 
     def __init__(
@@ -35,13 +35,15 @@ class ImuLink:
         clock: Clock,
         on_block: Callable[[Block], None],
         support: VirtualSupport | None = None,
+        role: Role = "main",
     ) -> None:
         self._side: _ThreadSide | ImuProcess
-        if settings.imu.acquisition == "process":
+        # The one beside sends a quarter of the samples and waits most of the time: a thread will do.
+        if settings.imu.acquisition == "process" and role == "main":
             start_ns = clock.now_ns() if support is None else support.start_ns
             self._side = ImuProcess(settings, start_ns, on_block)
         else:
-            self._side = _ThreadSide(settings, clock, on_block, support)
+            self._side = _ThreadSide(settings, clock, on_block, support, role)
 
     def start(self) -> None:
         """Begin; returns at once."""
@@ -57,7 +59,7 @@ class ImuLink:
         return self._side.condition
 
     @property
-    def identity(self) -> Identity | None:
+    def identity(self) -> AnyIdentity | None:
         """The part that delivers, or did last."""
         return self._side.identity
 
@@ -72,23 +74,29 @@ class ImuLink:
         return self._side.is_behind
 
     def counters(self) -> dict[str, Any]:
-        """What happened so far, JSON-able; kinds that never happened are left out of `faults` and `diagnoses`."""
-        counted = asdict(self._side.counters)
-        for kinds in ("faults", "diagnoses"):
-            counted[kinds] = {kind: count for kind, count in counted[kinds].items() if count}
-        identity = self.identity
-        serial = {} if identity is None else {"serial": identity.serial}
-        return serial | counted | self._side.own_counters() | {"notes": list(self._side.notes)}
+        """What happened so far, JSON-able; kinds that never happened are left out of tables of kinds."""
+        counted = {
+            name: {kind: count for kind, count in value.items() if count} if isinstance(value, dict) else value
+            for name, value in asdict(self._side.counters).items()
+        }
+        facts = {} if self.identity is None else self.identity.facts
+        return facts | counted | self._side.own_counters() | {"notes": list(self._side.notes)}
 
 
 class _ThreadSide:
     """Acquisition in a thread of this process."""
 
     def __init__(
-        self, settings: Settings, clock: Clock, on_block: Callable[[Block], None], support: VirtualSupport | None
+        self,
+        settings: Settings,
+        clock: Clock,
+        on_block: Callable[[Block], None],
+        support: VirtualSupport | None,
+        role: Role,
     ) -> None:
-        self._sensor = inertial_sensor(settings.imu, clock, support)
-        self._acquisition = Acquisition(self._sensor, on_block, settings.imu.realtime_priority)
+        self._sensor = inertial_sensor(settings, clock, support, role)
+        priority = settings.imu.realtime_priority if role == "main" else None
+        self._acquisition = Acquisition(self._sensor, on_block, priority)
 
     def start(self) -> None:
         self._acquisition.start()
@@ -101,7 +109,7 @@ class _ThreadSide:
         return self._sensor.condition
 
     @property
-    def identity(self) -> Identity | None:
+    def identity(self) -> AnyIdentity | None:
         return self._sensor.identity
 
     @property
@@ -109,7 +117,7 @@ class _ThreadSide:
         return self._sensor.progress
 
     @property
-    def counters(self) -> Counters:
+    def counters(self) -> Any:
         return self._sensor.counters
 
     @property

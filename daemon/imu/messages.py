@@ -8,10 +8,10 @@ import select
 import struct
 from dataclasses import dataclass
 
-from drivers.acquisition import Block
+from drivers.acquisition import AnyIdentity, Block
 from drivers.adis16448.counters import Counters
-from drivers.adis16448.identity import Identity
 from drivers.condition import Condition
+from drivers.jy901.counters import Jy901Counters
 
 _LENGTH = struct.Struct(">I")
 
@@ -29,8 +29,8 @@ class Health:
     """How the sensor and the acquiring process are."""
 
     condition: Condition
-    counters: Counters
-    identity: Identity | None
+    counters: Counters | Jy901Counters
+    identity: AnyIdentity | None
     notes: list[str]
     progress: int
     dropped: int  # samples that found the buffer full

@@ -1,14 +1,21 @@
-"""The inertial sensor that the settings describe, with the ports that they name."""
+"""The inertial sensors that the settings describe, with the ports that they name."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+from daemon.imu.roles import Role, is_jy901
+from daemon.settings import Settings
+from drivers.acquisition import Sensor
 from drivers.adis16448.configuration import ImuSettings
+from drivers.adis16448.counters import Counters
 from drivers.adis16448.machine import InertialSensor
 from drivers.clock import Clock
 from drivers.data_ready import DataReady, GpiodDataReady
+from drivers.jy901.counters import Jy901Counters
+from drivers.jy901.machine import Jy901
+from drivers.jy901.port import PySerialPort, SerialPort
 from drivers.spi import SpidevTransport, SpiTransport
 
 if TYPE_CHECKING:
@@ -18,10 +25,31 @@ OpenPort = Callable[[], SpiTransport]
 OpenLine = Callable[[], DataReady]
 
 
-def inertial_sensor(settings: ImuSettings, clock: Clock, support: VirtualSupport | None = None) -> InertialSensor:
-    """The sensor, not started yet; `support` carries it if the transport is "virtual"."""
-    open_port, open_line = port_openers(settings, clock, support)
-    return InertialSensor(settings, clock, open_port, open_line)
+def inertial_sensor(
+    settings: Settings, clock: Clock, support: VirtualSupport | None = None, role: Role = "main"
+) -> Sensor:
+    """The sensor of that role, not started yet; `support` carries a virtual one."""
+    if is_jy901(settings, role):
+        return Jy901(settings.jy901, clock, serial_opener(settings, clock, support))
+    open_port, open_line = port_openers(settings.imu, clock, support)
+    return InertialSensor(settings.imu, clock, open_port, open_line)
+
+
+def no_counters(settings: Settings, role: Role) -> Counters | Jy901Counters:
+    """The counters of that sensor before anything happened."""
+    return Jy901Counters() if is_jy901(settings, role) else Counters()
+
+
+def serial_opener(settings: Settings, clock: Clock, support: VirtualSupport | None) -> Callable[[], SerialPort]:
+    """What opens the serial port (PortError)."""
+    if settings.jy901.transport == "virtual":
+        from daemon.simulation.virtual import virtual_line
+        from drivers.virtual.jy901_port import VirtualSerialPort
+
+        assert support is not None
+        line = virtual_line(settings, support)
+        return lambda: VirtualSerialPort(line, clock)
+    return lambda: PySerialPort(settings.jy901.port)
 
 
 def port_openers(

@@ -11,12 +11,12 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from typing import Any
 
 from daemon.imu.messages import Health, LogLine, Orders, receive, send
+from daemon.imu.ports import no_counters
 from daemon.settings import Settings
-from drivers.acquisition import Block
-from drivers.adis16448.counters import Counters
-from drivers.adis16448.identity import Identity
+from drivers.acquisition import AnyIdentity, Block
 from drivers.condition import Condition, Wellness
 
 FIRST_RETRY_S, LONGEST_RETRY_S = 0.5, 5.0
@@ -35,7 +35,7 @@ class ImuProcess:
 
     def __init__(self, settings: Settings, start_ns: int, on_block: Callable[[Block], None]) -> None:
         self.condition = Condition(Wellness.WAITING, "not started yet")
-        self.identity: Identity | None = None
+        self.identity: AnyIdentity | None = None
         self.notes: list[str] = []
         self.progress = 0
         self._heard_s = 0.0  # when the process last sent anything
@@ -44,7 +44,8 @@ class ImuProcess:
         self._orders = Orders(settings.model_dump_json(), start_ns)
         self._on_block = on_block
         # Of the processes that ended and of the present one; replaced as a pair, so that none counts twice.
-        self._counters = (Counters(), Counters())
+        self._none = no_counters(settings, "main")
+        self._counters: tuple[Any, Any] = (self._none, self._none)
         self._dropped = (0, 0)
         self._starts = 0
         self._lost_blocks = 0
@@ -70,7 +71,7 @@ class ImuProcess:
             self._thread.join(_STOP_S)
 
     @property
-    def counters(self) -> Counters:
+    def counters(self) -> Any:
         """Of the sensor, over all processes so far."""
         past, present = self._counters
         return past.plus(present)
@@ -150,7 +151,7 @@ class ImuProcess:
             code = child.wait()
             self.pid = None
             child.stdout.close()
-            self._counters = (self.counters, Counters())
+            self._counters = (self.counters, self._none)
             self._dropped = (sum(self._dropped), 0)
         return why if why == "hung" else f"ended ({_ending(code)})"
 

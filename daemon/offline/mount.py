@@ -7,18 +7,24 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from daemon.inertial import SampleDecoder
 from daemon.offline.replay import settings_of
 from daemon.recording import topics
 from daemon.recording.reader import Recording
 from daemon.recording.topics import RecordedDisplacement
-from daemon.stream import is_possible
-from drivers.adis16448.burst import Burst, BurstDecoder, Fault
+from drivers.acquisition import AnyIdentity
+from drivers.adis16448.burst import Burst
 from drivers.adis16448.identity import Identity
+from drivers.jy901.identity import Jy901Identity
+from drivers.jy901.reading import Reading
 from estimation.mount.calibration import Axis, MountCalibration, MountEstimate, Verdict
 from estimation.records import ImuSample, SensorChange
 from estimation.settings import MountSettings
 
-_INPUTS = (topics.IMU_IDENTITY, topics.IMU_RAW, topics.IMU_SAMPLE, topics.OBSERVED, topics.REFERENCE)
+_INPUTS = (
+    *(topics.IMU_IDENTITY, topics.IMU_RAW, topics.IMU_SAMPLE, topics.JY901_IDENTITY, topics.JY901),
+    *(topics.OBSERVED, topics.REFERENCE),
+)
 OBLIQUE_DEG = 10.0  # takes 1.5 % off a burst: as much as the speed of one move scatters
 
 
@@ -97,18 +103,16 @@ def review_mount(path: Path, progress: Callable[[int], None] | None = None) -> M
     recording = Recording(path)
     settings = settings_of(recording)
     calibration = MountCalibration(settings.support, settings.mount.imu_on)
-    decoder = BurstDecoder(settings.imu.gyro_range_dps)
-    part: Identity | None = None
+    decoder = SampleDecoder(settings)
+    part: AnyIdentity | None = None
     for count, (_, record) in enumerate(recording.messages(_INPUTS), start=1):
-        if isinstance(record, Burst):
-            if record.fault is Fault.NONE:
-                calibration.feed(decoder.sample(record))
-        elif isinstance(record, ImuSample):
-            if is_possible(record):
-                calibration.feed(record)
+        if isinstance(record, Burst | Reading | ImuSample):
+            sample = decoder.sample(record) if decoder.is_mine(record) else None
+            if sample is not None:
+                calibration.feed(sample)
         elif isinstance(record, RecordedDisplacement):
             calibration.feed(record.reading)
-        elif isinstance(record, Identity):
+        elif isinstance(record, Identity | Jy901Identity) and decoder.is_mine(record):
             if part is not None and not record.is_same_part(part):
                 calibration.feed(SensorChange(record.t_ns))
             part = record

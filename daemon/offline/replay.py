@@ -38,6 +38,7 @@ class ReplayResult:
     identical: bool | None  # recorded estimates reproduced bit for bit; None = there are none to compare with
     moves: list[Move]
     learned: Learned | None
+    settings: Settings  # in use
     end: SavedState | None  # what a restart would find; None without an estimate
     damage: list[str]
 
@@ -158,6 +159,7 @@ def replay(
         identical=all(c.identical for c in comparisons.values()) if has_estimates else None,
         moves=moves,
         learned=stream.learned(),
+        settings=stream.settings,
         end=_end(stream, (_began_s(recording) or time.time()) + duration_s),
         damage=recording.damage,
     )

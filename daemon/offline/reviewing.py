@@ -11,19 +11,20 @@ from math import nan
 from pathlib import Path
 from typing import Any
 
+from daemon.inertial import SampleDecoder
 from daemon.offline.method_replay import replay_method
 from daemon.offline.reference_errors import ReferenceComparison
 from daemon.offline.replay import ReplayResult, replay
 from daemon.offline.smoothed_moves import SmoothedMoves
 from daemon.offline.step_table import COLUMNS, SMOOTHED_COLUMNS, cells, smoothed_cells, step_table
-from daemon.recording import topics
 from daemon.recording.errors import refuse_same_file
 from daemon.recording.reader import Recording
 from daemon.recording.topics import TOPICS, Health, Recorded, RecordedDisplacement
 from daemon.stream import Sink
 from drivers.adis16448.burst import Burst, Fault
+from drivers.jy901.reading import Reading
 from estimation.methods.registry import OURS
-from estimation.records import CanState, Estimate, Event, Segment
+from estimation.records import CanState, Estimate, Event, ImuSample, Segment
 from estimation.smoothing.settled_smoother import SmoothedStep
 
 GAP_S = 0.05
@@ -113,13 +114,16 @@ def review(
         reference=reference,
         smoothed_moves=smoothed_moves,
     )
+    decoder = SampleDecoder(result.settings)
     last_ns: int | None = None
     for topic, record in recording.messages():
         if isinstance(record, Burst) and record.fault is not Fault.NONE:
             reviewed.faults[record.fault.name.lower()] += 1
+        elif isinstance(record, Reading) and record.is_frozen:
+            reviewed.faults["frozen"] += 1
         elif isinstance(record, Health):
             reviewed.last_health = _parsed(record.json)
-        if topic in (topics.IMU_RAW, topics.IMU_SAMPLE):
+        if isinstance(record, Burst | Reading | ImuSample) and decoder.is_mine(record):
             t_ns = TOPICS[topic].time_ns(record)
             if last_ns is not None and t_ns - last_ns > GAP_S * 1e9:
                 _note_gap(reviewed, last_ns, t_ns)

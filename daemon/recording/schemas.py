@@ -60,6 +60,34 @@ uint16 serial  # [-] SERIAL_NUM, bits 0 to 11
 """,
 )
 
+JY901 = Layout(
+    "ramstroke_msgs/msg/Jy901Sample",
+    "# One sample of a JY901: the words of an acceleration and of a rate packet as received\n"
+    + _TIME
+    + """\
+int16 x_accl  # [LSB] 16 g / 32768
+int16 y_accl  # [LSB] as x_accl
+int16 z_accl  # [LSB] as x_accl
+int16 accl_temp  # [LSB] 0.01 degC
+int16 x_gyro  # [LSB] 2000 deg/s / 32768
+int16 y_gyro  # [LSB] as x_gyro
+int16 z_gyro  # [LSB] as x_gyro
+int16 gyro_temp  # [LSB] 0.01 degC
+bool is_frozen  # the part repeats itself: not used
+""",
+)
+
+JY901_IDENTITY = Layout(
+    "ramstroke_msgs/msg/Jy901Identity",
+    "# Who answers from here on, and how it was set up\n"
+    + _TIME
+    + """\
+uint16 firmware  # [-] register VERSION, 0 if it does not tell
+uint32 baud  # [Bd]
+float64 rate  # [Hz] samples a second, as asked for
+""",
+)
+
 IMU_SAMPLE = Layout(
     "ramstroke_msgs/msg/ImuSample",
     "# One inertial sample in the sensor's axes; specific force, +g on the axis that points up\n"

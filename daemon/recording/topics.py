@@ -12,6 +12,8 @@ from daemon.recording.cdr import ENCAPSULATION, DecodeError, Layout
 from drivers.adis16448.burst import Burst, Fault
 from drivers.adis16448.identity import Identity
 from drivers.can.frame import Frame
+from drivers.jy901.identity import Jy901Identity
+from drivers.jy901.reading import Reading
 from estimation.records import (
     CanState,
     Displacement,
@@ -30,6 +32,8 @@ from estimation.records import (
 IMU_RAW = "/imu/adis16448"
 IMU_IDENTITY = "/imu/identity"
 IMU_SAMPLE = "/imu/sample"
+JY901 = "/imu/jy901"
+JY901_IDENTITY = "/imu/jy901/identity"
 CAN_RX = "/can/rx"
 CAN_TX = "/can/tx"
 OBSERVED = "/displacement/observed"
@@ -72,9 +76,8 @@ class Health:
     json: str
 
 
-Recorded = (
-    Burst | Identity | ImuSample | Frame | RecordedDisplacement | Tick | Estimate | Move | Event | LogLine | Health
-)
+Inertial = Burst | Identity | Reading | Jy901Identity | ImuSample
+Recorded = Inertial | Frame | RecordedDisplacement | Tick | Estimate | Move | Event | LogLine | Health
 
 
 # What `Topic.decode` raises for bytes that are not such a record (an unknown enum code is a LookupError).
@@ -131,6 +134,24 @@ def _encode_identity(identity: Identity) -> bytes:
 
 def _decode_identity(data: bytes) -> Identity:
     return Identity(*schemas.IDENTITY.unpack(data))
+
+
+def _encode_reading(reading: Reading) -> bytes:
+    return schemas.JY901.pack(reading.t_ns, *reading.accel, *reading.gyro, reading.is_frozen)
+
+
+def _decode_reading(data: bytes) -> Reading:
+    t_ns, *words, is_frozen = schemas.JY901.unpack(data)
+    ax, ay, az, accel_temperature, gx, gy, gz, gyro_temperature = words
+    return Reading(t_ns, (ax, ay, az, accel_temperature), (gx, gy, gz, gyro_temperature), is_frozen)
+
+
+def _encode_jy901_identity(identity: Jy901Identity) -> bytes:
+    return schemas.JY901_IDENTITY.pack(identity.t_ns, identity.firmware, identity.baud, identity.rate_hz)
+
+
+def _decode_jy901_identity(data: bytes) -> Jy901Identity:
+    return Jy901Identity(*schemas.JY901_IDENTITY.unpack(data))
 
 
 def _encode_sample(sample: ImuSample) -> bytes:
@@ -303,5 +324,27 @@ _ROWS = (
     Topic(EVENTS, schemas.EVENT, _own_time, _encode_event, _decode_event),
     Topic(LOG, schemas.LOG, _own_time, _encode_log, _decode_log),
     Topic(HEALTH, schemas.HEALTH, _own_time, _encode_health, _decode_health),
+    Topic(JY901, schemas.JY901, _own_time, _encode_reading, _decode_reading, starts_file=True),
+    Topic(
+        JY901_IDENTITY,
+        schemas.JY901_IDENTITY,
+        _own_time,
+        _encode_jy901_identity,
+        _decode_jy901_identity,
+        starts_file=True,
+    ),
 )
 TOPICS: dict[str, Topic] = {row.name: row for row in _ROWS}
+
+_INERTIAL_TOPICS = {
+    Burst: IMU_RAW,
+    Identity: IMU_IDENTITY,
+    Reading: JY901,
+    Jy901Identity: JY901_IDENTITY,
+    ImuSample: IMU_SAMPLE,
+}
+
+
+def inertial_topic(record: Inertial) -> str:
+    """The topic of what an inertial sensor brings."""
+    return _INERTIAL_TOPICS[type(record)]

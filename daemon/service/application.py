@@ -37,8 +37,7 @@ from daemon.service.process import settle_process
 from daemon.service.watchdog import Watchdog
 from daemon.settings import Settings
 from daemon.stream import Stream
-from drivers.adis16448.burst import Burst
-from drivers.adis16448.identity import Identity
+from drivers.acquisition import Block
 from drivers.can.bus import CanBus
 from drivers.can.estimate_frame import EstimateEncoder
 from drivers.can.frame import Frame
@@ -75,17 +74,20 @@ class Application:
         self._stream = Stream(settings, self._receive, start)
         self._live = LiveServer(settings.service.socket, self._hello)
         self._support = None
-        if settings.imu.transport == "virtual":
+        if settings.needs_support:
             from daemon.simulation.virtual import virtual_support
 
             self._support = virtual_support(settings, start_ns=self._clock.now_ns())
         self._imu = ImuLink(settings, self._clock, self._hand_over, self._support)
+        self._beside: ImuLink | None = None
+        if settings.jy901.use == "beside":
+            self._beside = ImuLink(settings, self._clock, self._hand_over, self._support, "beside")
         self._bus: CanBus | None = None
         if settings.can.enabled:
             ids = [frame_id for decoder in self._stream.decoders for frame_id in decoder.arbitration_ids]
             self._bus = CanBus(settings.can, self._take_frame, self._clock, ids)
         self._encoder = EstimateEncoder(settings.can.publish)
-        self._blocks: deque[list[Burst | Identity]] = deque()
+        self._blocks: deque[Block] = deque()
         self._frames: deque[Frame] = deque()
         self._ticked_s = time.monotonic()
         self._catch_up_until_s = 0.0
@@ -121,6 +123,8 @@ class Application:
         logging.getLogger().addHandler(relay)
         tasks = [self._spawn(work) for work in self._works()]
         self._imu.start()
+        if self._beside is not None:
+            self._beside.start()
         settle_process()
         self._loop_watch.watch_collector()
         self._notifier.ready()
@@ -163,7 +167,9 @@ class Application:
         self.stop()
 
     async def _shut_down(self, tasks: list[asyncio.Task[None]]) -> None:
-        await asyncio.to_thread(self._imu.stop)
+        for link in (self._imu, self._beside):
+            if link is not None:
+                await asyncio.to_thread(link.stop)
         await asyncio.sleep(0)  # blocks handed over until now
         for task in tasks:
             task.cancel()
@@ -190,8 +196,8 @@ class Application:
 
     # --- inputs -----------------------------------------------------------------------------------------------
 
-    def _hand_over(self, block: list[Burst | Identity]) -> None:
-        """Called in the acquisition thread."""
+    def _hand_over(self, block: Block) -> None:
+        """Called in the acquisition threads."""
         assert self._loop is not None
         self._blocks.append(block)
         if not self._loop.is_closed():
@@ -204,8 +210,7 @@ class Application:
             try:
                 with self._loop_watch.doing("inertial samples"):
                     for record in block:
-                        topic = topics.IMU_IDENTITY if isinstance(record, Identity) else topics.IMU_RAW
-                        self._stream.take(topic, record)
+                        self._stream.take(topics.inertial_topic(record), record)
             except Exception as error:
                 self._fail(error)
 
@@ -322,6 +327,9 @@ class Application:
     def _make_watchdog(self) -> Watchdog:
         watchdog = Watchdog()
         watchdog.watch("imu", lambda: self._imu.progress)
+        if self._beside is not None:
+            beside = self._beside
+            watchdog.watch("jy901", lambda: beside.progress)
         if self._bus is not None:
             bus = self._bus
             watchdog.watch("can", lambda: bus.progress)
@@ -340,6 +348,8 @@ class Application:
         health = {
             "t_s": now_s,
             "imu": book.note("imu", self._imu.condition, now_s) | self._imu.counters(),
+            "jy901": book.note("jy901", OFF if self._beside is None else self._beside.condition, now_s)
+            | ({} if self._beside is None else self._beside.counters()),
             "can": book.note("can", OFF if self._bus is None else self._bus.condition, now_s)
             | ({} if self._bus is None else self._bus.report()),
             "displacement": book.note("displacement", sensor, now_s) | ({} if source is None else source.counters()),

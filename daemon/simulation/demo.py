@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 from daemon.recording import topics
 from daemon.recording.metadata import describe
@@ -42,11 +43,16 @@ class DemoResult:
         return met[-1] if met else None
 
 
-def demo_settings(seed: int) -> Settings:
+ImuChoice = Literal["adis16448", "jy901", "both"]
+_USE: dict[ImuChoice, str] = {"adis16448": "no", "jy901": "instead", "both": "beside"}
+
+
+def demo_settings(seed: int, imu: ImuChoice = "adis16448") -> Settings:
     """The default configuration on twins instead of devices."""
     return Settings.model_validate(
         {
             "imu": {"transport": "virtual"},
+            "jy901": {"use": _USE[imu], "transport": "virtual"},
             "can": {
                 "interface": "virtual",
                 "channel": "ramstroke-demo",
@@ -69,7 +75,8 @@ def run_demo(
     support = virtual_support(settings, cycles=1)
     result = DemoResult(truth=support.true_moves())
     duration_ns = support.truth().t_s[-1] * 1e9
-    metadata = describe("recording", settings.model_dump_json(), sensor="virtual ADIS16448")
+    sensor = "JY901" if settings.jy901.use == "instead" else "ADIS16448"
+    metadata = describe("recording", settings.model_dump_json(), sensor=f"virtual {sensor}")
     # The stream must exist before the file (its snapshot stands at the head) and writes into it.
     written: list[RecordingWriter] = []
 

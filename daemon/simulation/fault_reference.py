@@ -15,7 +15,9 @@ from drivers.virtual.faults import (
     Fault,
     FrameFault,
     InterfaceFault,
+    Jy901Fault,
     PartFault,
+    SerialFault,
     ValueFault,
     WireFault,
 )
@@ -63,13 +65,17 @@ for:
 | `part.updates` | samples that the part made, one data-ready edge each |
 | `part.edges` | edges that arrived at the listener's end of the wire |
 | `part.edges_lost_by_script`, `part.edges_added_by_script` | lost and doubled on the wire |
+| `jy901.groups` | samples that a JY901 sent; `part`, `socket` and `jy901` are null where the part is not used |
+| `jy901.bytes`, `jy901.unread` | bytes that came to the computer's port, and those that nobody read in time |
+| `jy901.lost_by_script`, `jy901.flipped_by_script`, `jy901.added_by_script` | bytes on its line |
 | `socket.frames`, `socket.failed_frames` | SPI frames asked for, and those that ended in an error by script |
 | `socket.edges` | edges told to listeners, those that came too fast for a busy one included |
 | `can.sent`, `can.failed`, `can.sent_by_kind` | CAN frames; the kinds are the identifiers and `error frame` |
 | `faults` | the faults that began while it ran |
 
 Files that come with the program: `config/faults/wet_cable.toml` (a minute, for `demo`) and `config/faults/long.toml`
-(30 minutes, every kind that needs no virtual interface, for `sim`).
+(30 minutes, every kind of the ADIS16448 and of the bus that needs no virtual interface, for `sim`);
+`config/faults/serial.toml` (two minutes, every kind of a JY901, for `sim` and `demo --imu jy901`).
 
 This page is made from the program, see the first lines of `daemon/simulation/fault_reference.py`.
 """
@@ -78,6 +84,8 @@ _SECTIONS = (
     ("The inertial sensor itself", PartFault),
     ("Its data wire, and the computer's SPI port", WireFault),
     ("Its data-ready wire", EdgeFault),
+    ("A JY901 (only with `use` in `[jy901]`)", Jy901Fault),
+    ("Its serial line, and the computer's port", SerialFault),
     ("The displacement sensor", ValueFault),
     ("The controller's frames", FrameFault),
     ("The CAN bus", BusFault),

@@ -11,7 +11,6 @@ from daemon.service.application import SILENT_IMU_S, START_UP_S, TICK_S
 from daemon.settings import Settings
 from daemon.simulation.run import SimulatedRun
 from daemon.stream import Sink, Stream
-from drivers.adis16448.identity import Identity
 from drivers.clock import Clock
 from estimation.pipeline import Start
 from estimation.records import Tick
@@ -49,7 +48,7 @@ class SimulatedStream:
             return False
         block, frames = received
         for record in block:
-            self.stream.take(topics.IMU_IDENTITY if isinstance(record, Identity) else topics.IMU_RAW, record)
+            self.stream.take(topics.inertial_topic(record), record)
         for frame in frames:
             self.stream.take(topics.CAN_RX, frame)
         self._tick()

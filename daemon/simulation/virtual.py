@@ -23,11 +23,13 @@ from drivers.virtual.faulty_controller import FaultyController, FrameSource
 from drivers.virtual.faulty_line import FaultyEdges, FaultyWires
 from drivers.virtual.faulty_part import PartSchedule
 from drivers.virtual.faulty_values import faulty_observations
+from drivers.virtual.jy901 import VirtualJy901
+from drivers.virtual.jy901_line import VirtualLine
 from drivers.virtual.part import VirtualPart
 from drivers.virtual.scenarios import SCENARIOS
 from drivers.virtual.support import VirtualSupport
 from estimation.mount.axes import Mount
-from estimation.settings import MountSettings
+from estimation.settings import AxesSettings
 
 _log = logging.getLogger(__name__)
 
@@ -59,6 +61,13 @@ def virtual_part(support: VirtualSupport, clock: Clock, faults: FaultScript | No
     return FaultyWires(part, faults, start_ns)
 
 
+def virtual_line(settings: Settings, support: VirtualSupport, faults: FaultScript | None = None) -> VirtualLine:
+    """The virtual JY901 on that support and its serial line, with what the script does to both."""
+    axes = settings.mount if settings.jy901.use == "instead" else settings.jy901_mount
+    part = VirtualJy901(support.jy901_input(_sensor_axes(axes)), support.start_ns, support.jy901_errors)
+    return VirtualLine(part, faults, support.start_ns)
+
+
 def virtual_controller(
     settings: Settings, support: VirtualSupport, faults: FaultScript | None = None
 ) -> VirtualController | FaultyController:
@@ -88,7 +97,7 @@ def virtual_controller(
     )
 
 
-def _sensor_axes(mount: MountSettings) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+def _sensor_axes(mount: AxesSettings) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
     """Turns support axes into sensor axes: the inverse of the mount."""
     to_support = Mount(mount).to_support
     unit = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))

@@ -19,6 +19,11 @@ class Identity:
         """The part in words."""
         return f"ADIS16448 lot {self.lot_id:08X} serial {self.serial}"
 
-    def is_same_part(self, other: Identity) -> bool:
+    @property
+    def facts(self) -> dict[str, float]:
+        """What health tells of the part."""
+        return {"serial": self.serial}
+
+    def is_same_part(self, other: object) -> bool:
         """Whether both name one and the same part."""
-        return (self.lot_id, self.serial) == (other.lot_id, other.serial)
+        return isinstance(other, Identity) and (self.lot_id, self.serial) == (other.lot_id, other.serial)

@@ -22,7 +22,7 @@ ANGLE_LSB = radians(180) / 32768  # rad
 TEMPERATURE_LSB = 0.01  # deg C
 UNLOCK = b"\xff\xaa\x69\x88\xb5"  # for ten seconds
 SAVE = b"\xff\xaa\x00\x00\x00"
-CONTENT, RATE, BAUD, BANDWIDTH, ALGORITHM = 0x02, 0x03, 0x04, 0x1F, 0x24  # registers
+CONTENT, RATE, BAUD, BANDWIDTH, VERSION = 0x02, 0x03, 0x04, 0x1F, 0x2E  # registers
 _WORDS = struct.Struct("<4h")
 
 
@@ -128,8 +128,10 @@ def read_registers(first: int) -> bytes:
     return bytes((0xFF, 0xAA, 0x27, first, 0))
 
 
-# Output rates [Hz] by code. Firmware of before has 0x0A = 200 Hz: read back, and measure.
+# Output rates [Hz] by code; 0x0C is one group and no more. Firmware of before has 0x0A = 200 Hz, 0x0B = one group.
 RATE_CODES = {0.2: 1, 0.5: 2, 1: 3, 2: 4, 5: 5, 10: 6, 20: 7, 50: 8, 100: 9, 200: 0x0B}
+OLD_200_HZ = 0x0A
+BANDWIDTH_CODES = {256: 0, 184: 1, 94: 2, 44: 3, 21: 4, 10: 5, 5: 6}  # of the low-pass filter [Hz]
 BAUD_CODES = {
     2400: 0, 4800: 1, 9600: 2, 19200: 3, 38400: 4, 57600: 5, 115200: 6, 230400: 7, 460800: 8, 921600: 9
 }  # fmt: skip

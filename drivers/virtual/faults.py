@@ -149,6 +149,67 @@ class LateEdges(Fault):
     every_ms: float = Field(20.0, gt=0, le=1000, description="time between two deliveries [ms]")
 
 
+# --- a JY901 and its serial line -----------------------------------------------------------------------------
+
+
+class SerialCut(Fault):
+    """The JY901's cable is off: no byte gets through, either way; the part goes on."""
+
+    kind: Literal["serial_cut"] = "serial_cut"
+
+
+class SerialDrops(Fault):
+    """A bad contact, or a computer too slow for its port: bytes are lost, so that packets come in halves."""
+
+    kind: Literal["serial_drops"] = "serial_drops"
+    share: float = _share(0.02, "bytes")
+
+
+class SerialFlips(Fault):
+    """Interference on the serial line: single bits arrive wrong."""
+
+    kind: Literal["serial_flips"] = "serial_flips"
+    probability: float = Field(1e-3, gt=0, le=0.5, description="probability of each bit to be wrong")
+
+
+class SerialGarbage(Fault):
+    """Interference that looks like packets: random bytes behind a true head, between the part's own."""
+
+    kind: Literal["serial_garbage"] = "serial_garbage"
+    rate_hz: float = Field(20.0, gt=0, le=1000, description="how often [Hz]")
+
+
+class SerialHeaps(Fault):
+    """A USB adapter collects bytes and hands them over in heaps."""
+
+    kind: Literal["serial_heaps"] = "serial_heaps"
+    every_ms: float = Field(16.0, gt=0, le=1000, description="time between two heaps [ms]")
+
+
+class AdapterGone(Fault):
+    """The USB adapter is pulled out: its serial port is gone from the computer."""
+
+    kind: Literal["adapter_gone"] = "adapter_gone"
+
+
+class Jy901BrownOut(Fault):
+    """The JY901 is without supply, then starts as it was saved: 9600 baud, 10 samples a second."""
+
+    kind: Literal["jy901_brown_out"] = "jy901_brown_out"
+
+
+class Jy901Frozen(Fault):
+    """The JY901 hangs: it repeats the values of the beginning."""
+
+    kind: Literal["jy901_frozen"] = "jy901_frozen"
+
+
+class Jy901DeadBand(Fault):
+    """The JY901's dead band is on: rates below 1.1 deg/s read exactly zero."""
+
+    kind: Literal["jy901_dead_band"] = "jy901_dead_band"
+
+
 # --- the controller and its bus -----------------------------------------------------------------------------
 
 
@@ -266,12 +327,16 @@ class InterfaceDeleted(Fault):
 PartFault = BrownOut | RepeatedSamples | SelfTestFailure | WrongProductId | Unplugged | Replaced | Overrange
 WireFault = MisoLow | MisoHigh | BitFlips | SpiErrors | SlowSpi
 EdgeFault = DataReadyLost | DataReadyDoubled | LateEdges
+SerialFault = SerialCut | SerialDrops | SerialFlips | SerialGarbage | SerialHeaps | AdapterGone
+Jy901Fault = Jy901BrownOut | Jy901Frozen | Jy901DeadBand
 ValueFault = StuckValue | Jump | Drift | NoiseBurst | SensorError | Delayed
 FrameFault = CanSilence | WrongIdentifier | WrongLength | Corrupted | FrozenFrame
 BusFault = ErrorFrames | BusOff | Flood
 InterfaceFault = InterfaceDown | InterfaceDeleted
 
-AnyFault = PartFault | WireFault | EdgeFault | ValueFault | FrameFault | BusFault | InterfaceFault
+AnyFault = (
+    PartFault | WireFault | EdgeFault | SerialFault | Jy901Fault | ValueFault | FrameFault | BusFault | InterfaceFault
+)
 
 
 class FaultScript(BaseModel):
@@ -335,6 +400,8 @@ KINDS: dict[str, type[Fault]] = {
     for kind in (
         *(MisoLow, MisoHigh, BitFlips, BrownOut, DataReadyLost, DataReadyDoubled, SpiErrors, SlowSpi),
         *(RepeatedSamples, SelfTestFailure, WrongProductId, Unplugged, Replaced, Overrange, LateEdges),
+        *(SerialCut, SerialDrops, SerialFlips, SerialGarbage, SerialHeaps, AdapterGone),
+        *(Jy901BrownOut, Jy901Frozen, Jy901DeadBand),
         *(CanSilence, StuckValue, Jump, Drift, NoiseBurst, SensorError, Delayed, WrongIdentifier, WrongLength),
         *(Corrupted, FrozenFrame, ErrorFrames, BusOff, Flood, InterfaceDown, InterfaceDeleted),
     )

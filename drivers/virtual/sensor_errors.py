@@ -36,6 +36,16 @@ class SensorGrade:
     drift_time_s: float = 300.0  # correlation time of both drifts
 
 
+# Stands for a JY901: stability as the vendor states it (0.01 g, 0.05 deg/s), noise as small consumer parts have it,
+# since no data sheet gives any.
+JY901 = SensorGrade(
+    accel_noise_density=0.3 * _MILLI_G,
+    accel_turn_on=10 * _MILLI_G,
+    gyro_noise_density=math.radians(0.01),
+    gyro_turn_on=math.radians(0.05),
+)
+
+
 class _Drift:
     """First-order Gauss-Markov process of 6 channels: exact on a grid of knots, straight in between."""
 

@@ -29,7 +29,7 @@ from drivers.virtual.motion import (
     TrueMove,
     full_cycle,
 )
-from drivers.virtual.sensor_errors import SensorErrors
+from drivers.virtual.sensor_errors import JY901, SensorErrors
 
 MOUNTING_ERROR_DEG = 3.0
 CLOCK_ERROR = 0.03  # data sheet: 819.2 Hz +- 3 %
@@ -78,7 +78,7 @@ class VirtualSupport:
         clock_error: float | None = None,
         sensor_axes: FloatArray | None = None,
     ) -> None:
-        machine, sensor, controller, mounting, clock = np.random.default_rng(seed).spawn(5)
+        machine, sensor, controller, mounting, clock, second = np.random.default_rng(seed).spawn(6)
         self.start_ns = start_ns
         self.sensor_errors = SensorErrors(sensor)
         drawn = clock.uniform(-CLOCK_ERROR, CLOCK_ERROR)
@@ -86,8 +86,9 @@ class VirtualSupport:
         self.controller_parameters = SensorParameters.draw(controller, displacement_sensor)
         self._controller_rng = controller
         axes = np.eye(3) if sensor_axes is None else sensor_axes
-        tilt = np.radians(mounting.uniform(-MOUNTING_ERROR_DEG, MOUNTING_ERROR_DEG, 3))
-        self.to_sensor: FloatArray = _small_rotation(tilt) @ axes  # (3, 3), support axes to true sensor axes
+        self.to_sensor = _mounted(mounting, axes)  # (3, 3), support axes to true sensor axes
+        self.jy901_errors = SensorErrors(second, JY901)
+        self._jy901_mounting = second
         played = repeat(script or full_cycle(), *(() if cycles is None else (cycles,)))
         count = None if cycles is None else warm_up + cycles
         scripts = chain(repeat(full_cycle(), warm_up), played)
@@ -116,6 +117,11 @@ class VirtualSupport:
     def inertial_input(self) -> SupportInput:
         """What the inertial sensor feels, sample by sample of its own clock."""
         return SupportInput(self._cycles, self.start_ns, self.sample_rate_hz, self.to_sensor)
+
+    def jy901_input(self, axes: FloatArray) -> SupportInput:
+        """What a JY901 feels on the same support, mounted for itself; `axes` as `sensor_axes`."""
+        to_sensor = _mounted(self._jy901_mounting, axes)
+        return SupportInput(self._cycles, self.start_ns, self.sample_rate_hz, to_sensor)
 
     def observations(self) -> Iterator[Observation]:
         """Readings of the controller's displacement sensor, times on the run's clock."""
@@ -208,6 +214,12 @@ def _at(local_s: FloatArray, values: NDArray[np.float64]) -> FloatArray:
     left = np.minimum(position.astype(np.int64), len(values) - 2)
     share = (position - left)[:, None]
     return np.asarray(values[left] + share * (values[left + 1] - values[left]))
+
+
+def _mounted(rng: np.random.Generator, axes: FloatArray) -> FloatArray:
+    """(3, 3), support axes to those of a sensor that sits a little askew."""
+    tilt = np.radians(rng.uniform(-MOUNTING_ERROR_DEG, MOUNTING_ERROR_DEG, 3))
+    return np.asarray(_small_rotation(tilt) @ axes)
 
 
 def _small_rotation(angles: FloatArray) -> FloatArray:

@@ -24,6 +24,8 @@ from drivers.adis16448.identity import Identity
 from drivers.can.frame import Frame
 from drivers.clock import VirtualClock
 from drivers.condition import Condition, Wellness
+from drivers.jy901.identity import Jy901Identity
+from drivers.jy901.reading import Reading
 from drivers.virtual.faults import FaultScript
 from drivers.virtual.motion import PlannedMove, TrueMove
 from drivers.virtual.support import VirtualSupport
@@ -40,7 +42,8 @@ class Outcome:
     """Everything that one run received, estimated and said."""
 
     bursts: list[Burst] = field(default_factory=list)
-    identities: list[Identity] = field(default_factory=list)
+    serial: list[Reading] = field(default_factory=list)  # of a JY901
+    identities: list[Identity | Jy901Identity] = field(default_factory=list)
     frames: list[Frame] = field(default_factory=list)
     readings: list[Displacement] = field(default_factory=list)
     estimates: list[Estimate] = field(default_factory=list)  # provisional
@@ -57,8 +60,13 @@ class Outcome:
 
     @property
     def good(self) -> list[Burst]:
-        """Samples that were believed."""
+        """Samples of the ADIS16448 that were believed."""
         return [burst for burst in self.bursts if burst.fault is Fault.NONE]
+
+    @property
+    def good_ns(self) -> list[int]:
+        """Times of believed samples of either sensor."""
+        return [one.t_ns for one in self.good] + [one.t_ns for one in self.serial if not one.is_frozen]
 
     @property
     def valid(self) -> list[Displacement]:
@@ -80,7 +88,9 @@ class Outcome:
         """Sink of the stream."""
         if isinstance(record, Burst):
             self.bursts.append(record)
-        elif isinstance(record, Identity):
+        elif isinstance(record, Reading):
+            self.serial.append(record)
+        elif isinstance(record, Identity | Jy901Identity):
             self.identities.append(record)
         elif isinstance(record, Frame):
             self.frames.append(record)
@@ -96,11 +106,12 @@ class Outcome:
             self.moves[record.number] = record
 
 
-def settings(channel: str, **imu: Any) -> Settings:
+def settings(channel: str, *, jy901: bool = False, **imu: Any) -> Settings:
     """A support with a short stroke, on twins."""
     return Settings.model_validate(
         {
             "imu": {"transport": "virtual"} | imu,
+            "jy901": {"use": "instead" if jy901 else "no", "transport": "virtual"},
             "can": {
                 "interface": "virtual",
                 "channel": channel,
@@ -118,10 +129,11 @@ def play(
     seed: int = SEED,
     recording: Path | None = None,
     channel: str = "fault-scene",
+    jy901: bool = False,
     **imu: Any,
 ) -> Outcome:
     """Run the support to the end of its motion."""
-    chosen = settings(channel, **imu)
+    chosen = settings(channel, jy901=jy901, **imu)
     clock = VirtualClock()
     support = VirtualSupport(seed, cycles=1, script=script)
     truth = support.truth()
@@ -171,9 +183,9 @@ def play(
 
 
 @cache
-def without_faults(decimation: int = 0) -> Outcome:
+def without_faults(decimation: int = 0, *, jy901: bool = False) -> Outcome:
     """The same run when nothing goes wrong."""
-    return play(FaultScript(), decimation_exponent=decimation)
+    return play(FaultScript(), decimation_exponent=decimation, jy901=jy901)
 
 
 def is_ill(condition: Condition) -> bool:

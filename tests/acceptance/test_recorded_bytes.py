@@ -18,7 +18,7 @@ from daemon.recording.reader import Recording
 from daemon.recording.topics import Recorded
 from daemon.service.health import kind_of
 from daemon.settings import Settings
-from daemon.simulation.run import SimulatedRun
+from daemon.simulation.run import Devices, SimulatedRun
 from daemon.simulation.stream import SimulatedStream
 from drivers.adis16448.identity import Identity
 from drivers.clock import VirtualClock
@@ -54,7 +54,8 @@ def _outcome(path: Path) -> str:
     clock = VirtualClock(max(0, first_ns(path) - START_UP_NS))
     settings = _on_virtual_devices(settings_of(Recording(path)), path.stem)
     part, controller = devices_of(path, clock)
-    with SimulatedStream(settings, SimulatedRun(settings, part, controller, clock), clock, receive, Start()) as scene:
+    run = SimulatedRun(settings, Devices(controller, part), clock)
+    with SimulatedStream(settings, run, clock, receive, Start()) as scene:
         bus, (decoder, *_) = scene.run.bus, scene.stream.decoders
         assert bus is not None
         conditions: dict[str, Any] = {}

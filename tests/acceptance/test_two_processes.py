@@ -51,9 +51,9 @@ def config(short_path: Path) -> Path:
 
 
 @contextmanager
-def started(command: str, config: Path) -> Iterator[subprocess.Popen[str]]:
+def started(command: str, config: Path, *more: str) -> Iterator[subprocess.Popen[str]]:
     process = subprocess.Popen(
-        [sys.executable, "-m", "daemon.cli", command, "--config", str(config)],
+        [sys.executable, "-m", "daemon.cli", command, "--config", str(config), *more],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

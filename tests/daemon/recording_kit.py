@@ -20,6 +20,8 @@ from daemon.recording.writer import OWN_CHANNELS, Container
 from drivers.adis16448.burst import Burst, Fault
 from drivers.adis16448.identity import Identity
 from drivers.can.frame import Frame
+from drivers.jy901.identity import Jy901Identity
+from drivers.jy901.reading import Reading
 from estimation.records import (
     CanState,
     Displacement,
@@ -74,6 +76,8 @@ ONE_OF_EACH: dict[str, Recorded] = {
     topics.EVENTS: Event(10, "wire broken \N{LIGHTNING}"),
     topics.LOG: LogLine(1_234_567_890_123, 30, "drivers.can", "bus off; 15 °C"),
     topics.HEALTH: Health(12, '{"dropped": 0}'),
+    topics.JY901: Reading(17, (-1, 2, 2048, 2512), (-32768, 32767, 5, 2513), is_frozen=True),
+    topics.JY901_IDENTITY: Jy901Identity(16, 4711, 115200, 200.0),
 }
 
 

@@ -21,7 +21,7 @@ WRONG_FILES: dict[str, tuple[str, str]] = {
     ),
     "unknown key that resembles none": (
         "[mount]\ncolour = 'red'\n",
-        ":2: [mount] colour is unknown; known here: push, up, imu_on",
+        ":2: [mount] colour is unknown; known here: push, up, pitch_deg, roll_deg, heading_deg, imu_on",
     ),
     "metres instead of millimetres": (
         "[support]\nstroke_m = 0.5\n",

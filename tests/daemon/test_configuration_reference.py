@@ -32,6 +32,8 @@ def test_the_page_in_the_repository_is_what_the_models_say() -> None:
 def test_every_nested_table_is_a_section_of_its_own() -> None:
     assert [name for name, _ in sections(Settings)] == [
         "imu",
+        "jy901",
+        "jy901_mount",
         "can",
         "can.displacement",
         "can.reference",

@@ -93,7 +93,7 @@ def test_ctrl_c_in_the_terminal_is_the_parents_business(process: ImuProcess, blo
 
 
 def test_a_parent_that_stalls_loses_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    items: list[Burst | Identity] = []
+    items: Block = []
     is_stalled, go_on = threading.Event(), threading.Event()
 
     def take(block: Block) -> None:

@@ -22,6 +22,8 @@ from daemon.recording.writer import RecordingWriter
 from drivers.adis16448.burst import Burst, Fault
 from drivers.adis16448.identity import Identity
 from drivers.can.frame import Frame
+from drivers.jy901.identity import Jy901Identity
+from drivers.jy901.reading import Reading
 from estimation.records import (
     CanState,
     Displacement,
@@ -39,6 +41,7 @@ from estimation.records import (
 from tests.daemon.recording_kit import ATTACHMENTS, METADATA, ONE_OF_EACH
 
 times = st.integers(0, 2**63 - 1)
+int16 = st.integers(-(2**15), 2**15 - 1)
 words16 = st.integers(0, 2**16 - 1)
 words32 = st.integers(0, 2**32 - 1)
 numbers = st.floats(allow_nan=True, allow_infinity=True, width=64)
@@ -85,6 +88,8 @@ STRATEGIES: dict[str, st.SearchStrategy[Any]] = {
     topics.EVENTS: st.builds(Event, times, st.text()),
     topics.LOG: st.builds(LogLine, st.integers(0, 2**31 * 10**9 - 1), st.integers(0, 255), st.text(), st.text()),
     topics.HEALTH: st.builds(Health, times, st.text()),
+    topics.JY901: st.builds(Reading, times, st.tuples(*[int16] * 4), st.tuples(*[int16] * 4), st.booleans()),
+    topics.JY901_IDENTITY: st.builds(Jy901Identity, times, words16, words32, numbers),
 }
 
 
@@ -186,7 +191,7 @@ def test_a_whole_file_is_read_by_the_official_reader_and_by_ours_in_the_order_wr
         reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
         decoded = list(reader.iter_decoded_messages(log_time_order=False))
         assert [item.channel.topic for item in decoded] == list(ONE_OF_EACH) * 3
-        assert [item.message.sequence for item in decoded] == [0] * 14 + [1] * 14 + [2] * 14
+        assert [item.message.sequence for item in decoded] == [0] * 16 + [1] * 16 + [2] * 16
         for item in decoded:
             expected = TOPICS[item.channel.topic].time_ns(ONE_OF_EACH[item.channel.topic])
             assert item.message.log_time == item.message.publish_time == expected

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from daemon.settings import Settings
-from daemon.simulation.run import SimulatedRun
+from daemon.simulation.run import Devices, SimulatedRun
 from daemon.simulation.virtual import virtual_support
 from drivers.adis16448.burst import Burst
 from drivers.clock import VirtualClock
@@ -21,9 +21,10 @@ SETTINGS = Settings.model_validate(
 def played(harm: Any = lambda _part: None) -> tuple[SimulatedRun, list[Any], int]:
     clock = VirtualClock()
     support = virtual_support(SETTINGS, cycles=1)
-    run = SimulatedRun.of(SETTINGS, support, clock)
+    devices = Devices.of(SETTINGS, support, clock)
+    run = SimulatedRun(SETTINGS, devices, clock)
     assert run.identity is None
-    harm(run._part)
+    harm(devices.part)
     items: list[Any] = []
     frames = 0
     while (received := run.next()) is not None:

@@ -100,6 +100,6 @@ def test_a_simulation_accounts_for_samples_edges_frames_and_faults(config: Path,
     ]
     assert not [message for message in messages if message.arbitration_id == 0x310 and not message.is_error_frame]
     (line_of_account,) = [text for text in said.splitlines() if "virtual support ends: " in text]
-    assert f"{part['updates']} samples in" in line_of_account
+    assert f" s; {part['updates']} samples; " in line_of_account
     assert "5 SPI frames, 5 of them failed by script" in line_of_account
     assert "4 faults played" in line_of_account

@@ -22,6 +22,8 @@ from daemon.stream import INPUTS, Stream
 from drivers.adis16448.burst import Burst, Fault
 from drivers.adis16448.identity import Identity
 from drivers.can.frame import Frame
+from drivers.jy901.identity import Jy901Identity
+from drivers.jy901.reading import Reading
 from drivers.virtual.controller import VirtualController
 from estimation.pipeline import Start
 from estimation.records import Displacement, Event, ImuSample, ReadingFault, Tick, TimeKind
@@ -325,6 +327,8 @@ def test_the_topics_that_a_replay_feeds_are_those_that_the_stream_takes(demo_run
         topics.IMU_IDENTITY: Identity(0, 16448, 1, 2),
         topics.IMU_RAW: Burst(0, TimeKind.EDGE, (0,) * 12, None),
         topics.IMU_SAMPLE: REST,
+        topics.JY901_IDENTITY: Jy901Identity(0, 1, 115200, 200.0),
+        topics.JY901: Reading(0, (0, 0, 2048, 0), (0, 0, 0, 0)),
         topics.CAN_RX: Frame(0, 0x7FF, b""),
         topics.OBSERVED: RecordedDisplacement(Displacement(0, 0.1), decoded=False),
         topics.REFERENCE: RecordedDisplacement(Displacement(0, 0.1, is_reference=True), decoded=False),

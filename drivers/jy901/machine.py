@@ -1,0 +1,269 @@
+"""The JY901 as the program knows it: it brings samples and survives what happens to its line."""
+
+from __future__ import annotations
+
+import logging
+from collections import deque
+from collections.abc import Callable, Generator
+from dataclasses import replace
+
+from drivers.clock import Clock
+from drivers.condition import OK, Condition, Wellness
+from drivers.jy901.counters import Jy901Counters
+from drivers.jy901.identity import Jy901Identity
+from drivers.jy901.port import PortError, SerialPort
+from drivers.jy901.reading import Reading
+from drivers.jy901.samples import SampleReader
+from drivers.jy901.set_up import Found, Jy901Error, bandwidth_hz, set_up
+from drivers.jy901.settings import Jy901Settings
+from drivers.quiet_log import QuietLog
+
+RETRY_S = 0.5
+SILENT_S = 0.5  # without a sample: it is said
+GARBLED_S = 0.3  # of bytes that make no sample: the part was without supply and speaks at another baud rate
+LOST_S = 5.0  # without a byte: it is looked for anew, at every baud rate
+SLOW_NS = 10_000_000_000  # a part that sends far too few samples has lost its settings; it is set up again that often
+_SLICE_S = 0.05
+_JUDGE_NS = 500_000_000
+_STEPS = 10  # judged over the last five seconds
+_ILL_SHARE, _WELL_SHARE = 0.01, 0.005
+_LEAST_LOST = 3
+_SLOW_SHARE = 0.95  # of the wanted rate
+_DEAD_BAND = 400  # samples in a row whose rate is exactly zero; noise does not do that
+
+_SOUGHT = Condition(Wellness.WAITING, "the part is looked for on the serial line", "this takes a second or two")
+_SILENT = Condition(Wellness.WAITING, "nothing comes on the serial line", "check the sensor's cable and its supply")
+_GARBLED = Condition(
+    Wellness.WAITING,
+    "bytes come that are no samples",
+    "the part is looked for anew; check its supply if that comes often",
+)
+_SLOW = Condition(Wellness.WAITING, "the part has lost its settings", "check the sensor's supply")
+_FROZEN = ("the samples stand still", "switch the sensor's supply off and on; if that goes on, replace the sensor")
+_NOISY = ("samples are lost on the serial line", "check the wires for length and contact; a lower baud rate bears more")
+_AGAIN = "it is tried again and again; see port in [jy901]"
+_DEAD_BAND_NOTE = (
+    "the gyroscopes read exactly zero: the part's dead band hides slow rates, so no bias can be seen at rest and no "
+    "heading found"
+)
+
+_log = logging.getLogger(__name__)
+
+
+class Jy901:
+    """One JY901 on its serial port.
+
+    Nothing is opened before the first `read_block`. One caller; other threads may read the public attributes.
+
+    Args:
+        settings: how the part is wired and read.
+        clock: of the run.
+        open_port: opens the serial port; raises PortError.
+    """
+
+    def __init__(self, settings: Jy901Settings, clock: Clock, open_port: Callable[[], SerialPort]) -> None:
+        self.identity: Jy901Identity | None = None  # of the part that delivers, or did last
+        self.notes: list[str] = []  # what a person should know although all is well
+        self.counters = Jy901Counters()
+        self.condition = Condition(Wellness.WAITING, "not started yet")
+        self.progress = 0  # moves as long as the caller and the port come back
+
+        self._settings = settings
+        self._clock = clock
+        self._open_port = open_port
+        self._quiet = QuietLog(_log, clock)
+        self._port: SerialPort | None = None
+        self._work: Generator[None, None, Found] | None = None  # on the way to data
+        self._reader: SampleReader | None = None
+        self._past = Jy901Counters()  # of readers that are gone
+        self._not_before_ns = clock.now_ns()
+        self._heard_ns = 0  # last sample
+        self._garbled_ns: int | None = None  # first bytes after it
+        self._slow_ns = 0
+        self._judge_ns = 0
+        self._marks: deque[tuple[int, int, int, int]] = deque(maxlen=_STEPS + 1)  # time, samples, lost, damage
+        self._is_noisy = False
+        self._is_frozen = False
+        self._zeros = 0
+
+    def read_block(self) -> list[Reading | Jy901Identity]:
+        """The samples that came, a Jy901Identity first whenever the part was set up.
+
+        Raises nothing and returns within about 0.1 s.
+        """
+        items: list[Reading | Jy901Identity] = []
+        self.progress += 1
+        try:
+            if self._port is None:
+                self._open()
+            elif self._work is not None:
+                self._go_on(self._work, items)
+            else:
+                self._take(items)
+        except PortError as error:
+            self.counters.port_failures += 1
+            self.counters.last_error = str(error)
+            self._lose_port()
+            self._pause(str(error), _AGAIN)
+        except Jy901Error as error:
+            self.counters.failed_starts += 1
+            self._lose_port()  # an adapter that was plugged in anew may have another node under the same name
+            self._pause(error.what, error.advice)
+        except Exception as error:
+            self.counters.errors += 1
+            self.counters.last_error = f"{type(error).__name__}: {error}"
+            if self.counters.errors == 1:
+                _log.exception("JY901: a fault of the program, which goes on")
+            self._lose_port()
+            self._pause(f"a fault of the program ({self.counters.last_error})", "report it")
+        return items
+
+    def close(self) -> None:
+        """Give the port back."""
+        self._quiet.flush(at_end=True)
+        self._lose_port()
+
+    # --- the way to data --------------------------------------------------------------------------------------
+
+    def _open(self) -> None:
+        ahead_s = (self._not_before_ns - self._clock.now_ns()) / 1e9
+        if ahead_s > 0:
+            self._clock.sleep(min(ahead_s, _SLICE_S))
+            return
+        self._port = self._open_port()
+        self._start_anew(_SOUGHT)
+
+    def _start_anew(self, condition: Condition) -> None:
+        assert self._port is not None
+        self._forget_reader()
+        self._work = set_up(self._port, self._settings, self._clock)
+        self.condition = condition
+
+    def _go_on(self, work: Generator[None, None, Found], items: list[Reading | Jy901Identity]) -> None:
+        try:
+            next(work)
+        except StopIteration as done:
+            self._work = None
+            self._begin(done.value, items)
+
+    def _begin(self, found: Found, items: list[Reading | Jy901Identity]) -> None:
+        now_ns, known = self._clock.now_ns(), self.identity
+        self.identity = Jy901Identity(now_ns, found.firmware, found.baud, float(self._settings.rate_hz))
+        items.append(self.identity)
+        self.counters.starts += 1
+        self._reader = SampleReader(found.baud, self._settings.rate_hz, bandwidth_hz(self._settings))
+        self._heard_ns = now_ns
+        self._judge_ns = now_ns + _JUDGE_NS
+        self._marks.clear()
+        self.counters.rate_hz = 0.0
+        self._is_noisy = self._is_frozen = False
+        self._garbled_ns = None
+        if known is None:
+            self._quiet.say(logging.INFO, f"{self.identity.name} is running at {found.baud} baud")
+        elif known.is_same_part(self.identity):
+            self._quiet.say(logging.INFO, "JY901: the part was set up again")
+        else:
+            self.counters.other_parts += 1
+            self._quiet.say(logging.WARNING, f"JY901: another part, firmware {found.firmware}")
+        self.condition = OK
+
+    # --- data -------------------------------------------------------------------------------------------------
+
+    def _take(self, items: list[Reading | Jy901Identity]) -> None:
+        assert self._port is not None
+        assert self._reader is not None
+        data = self._port.read()
+        now_ns = self._clock.now_ns()
+        readings = self._reader.feed(data, now_ns) if data else []
+        for reading in readings:
+            self._watch(reading)
+        items += readings
+        self._count()
+        if readings:
+            self._heard_ns, self._garbled_ns = now_ns, None
+            if now_ns >= self._judge_ns:
+                self._judge_ns = now_ns + _JUDGE_NS
+                self._quiet.flush()
+                self._judge(now_ns)
+        else:
+            self._bear_silence(now_ns, has_bytes=bool(data))
+
+    def _bear_silence(self, now_ns: int, *, has_bytes: bool) -> None:
+        """A cable that is plugged in again goes on as before; a part that was without supply must be found anew."""
+        if has_bytes and self._garbled_ns is None:
+            self._garbled_ns = now_ns
+        if self._garbled_ns is not None and now_ns - self._garbled_ns > GARBLED_S * 1e9:
+            self._start_anew(_GARBLED)
+        elif now_ns - self._heard_ns > LOST_S * 1e9:
+            self._start_anew(_SILENT)
+        elif now_ns - self._heard_ns > SILENT_S * 1e9 and self.condition != _SILENT:
+            self.counters.silences += 1
+            self.condition = _SILENT
+
+    def _watch(self, reading: Reading) -> None:
+        self.counters.samples += 1
+        self.counters.frozen += reading.is_frozen
+        self._is_frozen = reading.is_frozen
+        self._zeros = 0 if any(reading.gyro[:3]) else self._zeros + 1
+        if self._zeros == _DEAD_BAND and _DEAD_BAND_NOTE not in self.notes:
+            self.notes.append(_DEAD_BAND_NOTE)
+            self._quiet.say(logging.WARNING, f"JY901: {_DEAD_BAND_NOTE}")
+
+    def _count(self) -> None:
+        reader, past, counters = self._reader, self._past, self.counters
+        if reader is None:
+            return
+        counters.halves = past.halves + reader.halves
+        counters.missed = past.missed + reader.clock.missed
+        counters.bad_checksums = past.bad_checksums + reader.parser.bad_checksums
+        counters.skipped_bytes = past.skipped_bytes + reader.parser.skipped
+
+    def _forget_reader(self) -> None:
+        self._count()
+        self._past = replace(self.counters)
+        self._reader = None
+
+    def _judge(self, now_ns: int) -> None:
+        counters, wanted = self.counters, self._settings.rate_hz
+        damage = counters.halves + counters.skipped_bytes
+        self._marks.append((now_ns, counters.samples, counters.lost, damage))
+        since_ns, samples, lost, damaged = self._marks[0]
+        samples, lost, damaged = counters.samples - samples, counters.lost - lost, damage - damaged
+        seconds = (now_ns - since_ns) * 1e-9
+        if seconds >= 2.0:
+            counters.rate_hz = round(samples / seconds, 1)
+        # A line that brings whole packets and too few of them: it is the part that sends no more.
+        is_slow = not damaged and 0 < counters.rate_hz < _SLOW_SHARE * wanted
+        if is_slow and counters.rate_hz < 0.5 * wanted and now_ns - self._slow_ns > SLOW_NS:
+            self._slow_ns = now_ns
+            self._start_anew(_SLOW)
+            return
+        share = _WELL_SHARE if self._is_noisy else _ILL_SHARE
+        self._is_noisy = not is_slow and lost >= _LEAST_LOST and lost > share * (samples + lost)
+        complaints = [_FROZEN] if self._is_frozen else []
+        if self._is_noisy:
+            complaints.append(_NOISY)
+        if is_slow:
+            complaints.append(
+                (
+                    f"the part sends {counters.rate_hz:.0f} samples a second, not {wanted}",
+                    "set a higher baud or bandwidth_hz in [jy901], or a lower rate_hz",
+                )
+            )
+        if complaints:
+            self.condition = Condition(Wellness.ILL, "; ".join(what for what, _ in complaints), complaints[0][1])
+        else:
+            self.condition = OK
+
+    # --- when things go wrong -----------------------------------------------------------------------------------
+
+    def _pause(self, what: str, advice: str) -> None:
+        self.condition = Condition(Wellness.WAITING, what, advice)
+        self._not_before_ns = self._clock.now_ns() + round(RETRY_S * 1e9)
+
+    def _lose_port(self) -> None:
+        self._forget_reader()
+        self._work = None
+        port, self._port = self._port, None
+        if port is not None:
+            port.close()
