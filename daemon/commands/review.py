@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from daemon.commands import methods
 
 if TYPE_CHECKING:
+    from daemon.offline.allan import Allan
     from daemon.offline.mount import MountReview
     from daemon.offline.reference_errors import ReferenceErrors
     from daemon.offline.reviewing import Review
@@ -33,6 +34,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--estimate-mount", action="store_true", help="find out which way the sensor sits: what [mount] should say"
     )
+    parser.add_argument(
+        "--allan",
+        action="store_true",
+        help="noise of the sensor in the longest rest (Allan deviation), and the sensor grade that `align` takes",
+    )
+    parser.add_argument("--plot", type=Path, metavar="PICTURE", help="with --allan: the curves, into this file")
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
 
 
@@ -40,17 +47,28 @@ def run(arguments: argparse.Namespace) -> int:
     """Review."""
     from daemon import terminal
     from daemon.errors import UsageError
+    from daemon.offline import allan_report
+    from daemon.offline.allan import allan
+    from daemon.offline.allan_plot import plot_allan
     from daemon.offline.mount import review_mount
     from daemon.offline.reviewing import review
+    from daemon.recording.errors import refuse_same_file
 
     if arguments.method == "list":
         return methods.show()
     if arguments.file is None:
         raise UsageError("name the recording to review")
+    if arguments.plot is not None:
+        if not arguments.allan:
+            raise UsageError("--plot draws the Allan deviation: name --allan beside it")
+        refuse_same_file(arguments.file, arguments.plot)
     method = methods.known(arguments.method)
     with terminal.progress("messages") as progress:
         reviewed = review(arguments.file, progress, arguments.csv, method)
         mount = review_mount(arguments.file, progress) if arguments.estimate_mount else None
+        noise = allan(arguments.file, progress) if arguments.allan else None
+    if noise is not None and arguments.plot is not None:
+        plot_allan(arguments.plot, noise)
     result = reviewed.replayed
     if arguments.json:
         terminal.print_json(
@@ -80,11 +98,16 @@ def run(arguments: argparse.Namespace) -> int:
                 "reference": _errors_row(reviewed.reference.settled()),
                 "reference_smoothed": _errors_row(reviewed.reference.smoothed()),
                 "mount": None if mount is None else mount.row(),
+                "allan": None if noise is None else allan_report.row(noise),
                 "health": reviewed.last_health,
             }
         )
         return 0
     _print(arguments.file, reviewed, mount)
+    if noise is not None:
+        _print_noise(noise)
+    if arguments.plot is not None:
+        terminal.say(f"Picture: {arguments.plot}")
     return 0
 
 
@@ -161,6 +184,32 @@ def _print(path: Path, reviewed: Review, mount: MountReview | None) -> None:
         say(f"smoothed, against the same: {_errors_in_words(smoothed)}")
     for line in () if mount is None else mount.lines():
         say(line)
+
+
+def _print_noise(noise: Allan) -> None:
+    from daemon import terminal
+    from daemon.offline.allan_report import ACCEL, GYRO, cells, grade_lines, remarks
+
+    lost = f", {noise.missing} samples lost in it" if noise.missing else ""
+    terminal.say(
+        f"noise: Allan deviation of {noise.rest_s:.1f} s of rest from {noise.start_s:.1f} s on, "
+        f"{noise.samples} samples ({1 / noise.period_s:.1f}/s){lost}"
+    )
+    for axes, units in ((noise.gyro, GYRO), (noise.accel, ACCEL)):
+        made = terminal.table(
+            units.title,
+            "axis",
+            f"white noise {units.walk}",
+            "± 1σ",
+            "between s",
+            f"bias instability {units.rate}",
+            "at s",
+        )
+        for axis in axes:
+            made.add_row(*cells(axis, units))
+        terminal.OUT.print(made)
+    for line in (*remarks(noise), *grade_lines(noise)):
+        terminal.say(line)
 
 
 def _move_in_words(row: dict[str, float]) -> str:
