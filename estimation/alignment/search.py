@@ -68,6 +68,10 @@ def search_s(fitness: Callable[[FloatArray], FloatArray], method: str, seed: int
 
     Returns:
         What was found; x is (S,), never negative.
+
+    Raises:
+        KeyError: an unknown method.
+        ValueError: no candidate had a finite fitness.
     """
     tuner = TUNERS[method]
     search = Search(lambda x: fitness(tuner.s_of(x[:, 0])), np.array([tuner.low]), np.array([tuner.high]), budget)
