@@ -7,7 +7,7 @@ from math import degrees, inf
 from pathlib import Path
 from typing import Any
 
-from daemon.commands import choices
+from daemon.commands import align_benchmark, choices
 
 HELP = (
     "Initial alignment of the inertial sensor (paper B): level and heading of the support's axes from a rest at the "
@@ -36,6 +36,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--benchmark", action="store_true", help="virtual sensors instead, AL-1 to AL-9")
     parser.add_argument("--runs", type=int, default=200, help="of each setting of the benchmark (default 200)")
     parser.add_argument("--seed", type=int, default=1, help="of the benchmark (default 1)")
+    parser.add_argument(
+        "--method", metavar="NAME", help="process noise of the benchmark by one method only; `list` shows all"
+    )
+    parser.add_argument("--plot", type=Path, metavar="DIR", help="figures 5 and 7 of paper B, into this folder")
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
 
 
@@ -56,10 +60,10 @@ def run(arguments: argparse.Namespace) -> int:
             made.add_row(name, f"{grade.gyro_bias_deg_h:g}", f"{grade.accel_bias_mg:g}", grade.source)
         terminal.OUT.print(made)
         return 0
-    if arguments.benchmark:
-        if arguments.file is not None:
-            raise UsageError("--benchmark makes its own data: name no recording beside it")
-        return _benchmark(arguments)
+    if arguments.benchmark or arguments.method == "list":
+        return align_benchmark.run(arguments)
+    if arguments.method is not None or arguments.plot is not None:
+        raise UsageError("--method and --plot are for the benchmark: add --benchmark")
     if arguments.file is None:
         raise UsageError("name the recording to align on, or --benchmark")
     if arguments.latitude is None:
@@ -134,56 +138,3 @@ def _print(
     terminal.say(f"Gyroscopes at rest: {', '.join(f'{one:+.4f}' for one in gyro_bias_deg_s)} deg/s (across, push, up).")
     if angles[2]["verdict"].startswith("refused") and heading_deg is None:
         terminal.say("The heading must come from the face survey: --heading DEG.")
-
-
-def _benchmark(arguments: argparse.Namespace) -> int:
-    from daemon import terminal
-    from daemon.errors import UsageError
-    from daemon.offline.alignment_benchmark import PRINTED, benchmark
-
-    if arguments.runs < 2:
-        raise UsageError("--runs must be at least 2")
-    if arguments.seed < 0:
-        raise UsageError("--seed must not be negative")
-    with terminal.progress("settings", 9) as progress:
-        rows = benchmark(arguments.runs, arguments.seed, progress)
-    if arguments.json:
-        terminal.print_json({"rows": rows, "printed": PRINTED})
-        return 0
-    made = terminal.table(
-        f"{arguments.runs} virtual sensors each, at rest",
-        "setting",
-        "about",
-        "angle",
-        "rms deg",
-        "bound deg",
-        "rms / bound",
-        "NEES/3",
-        "verdict",
-    )
-    last = None
-    for row in rows:
-        if last not in (None, row["scenario"]):
-            made.add_section()
-        last = row["scenario"]
-        made.add_row(
-            row["scenario"],
-            row["about"],
-            row["axis"],
-            f"{row['rms_deg']:.5f}",
-            f"{row['bound_deg']:.5f}",
-            f"{row['rms_deg'] / row['bound_deg']:.2f}",
-            f"{row['nees']:.2f}",
-            row["verdict"],
-        )
-    terminal.OUT.print(made)
-    made = terminal.table("Paper B, Table 3, as printed (no unit; rad is read)", "method", "pitch", "roll", "yaw")
-    for name, values in PRINTED.items():
-        made.add_row(name, *(f"{value:.3e}" for value in values))
-    terminal.OUT.print(made)
-    terminal.say(
-        "Level errors of 4 to 6e-5 rad are what an accelerometer bias of 50 ug leaves (AL-1, AL-8). A yaw of 2.4e-7 in "
-        "5 s is beyond any sensor: in that time yaw stays at its prior, and in 50 s a navigation-grade one knows it to "
-        "0.13 deg. It can only be the simulated initial error. Tuning Q finds no bias that rest cannot show."
-    )
-    return 0

@@ -8,8 +8,6 @@ from typing import Any
 import numpy as np
 
 from daemon.offline.grades import load_grades
-from estimation.alignment.earth import Place
-from estimation.alignment.fine import Prior
 from estimation.alignment.scenarios import ALIGNMENTS, play
 from estimation.alignment.verdict import verdicts
 
@@ -28,8 +26,7 @@ def benchmark(runs: int, seed: int, progress: Callable[[int], None] | None = Non
     for done, (name, case) in enumerate(ALIGNMENTS.items(), 1):
         grade = grades[case.grade]
         aligned = play(case, grade, runs, seed)
-        prior = Prior(float(np.radians(case.level_deg)), float(np.radians(case.heading_deg)))
-        told = verdicts(aligned.sigma, prior, grade, Place(case.latitude_deg))
+        told = verdicts(aligned.sigma, case.prior, grade, case.place)
         rms = np.sqrt((aligned.errors**2).mean(axis=0))
         for axis, verdict, one_rms, sigma in zip(("east", "north", "up"), told, rms, aligned.sigma, strict=True):
             rows.append(

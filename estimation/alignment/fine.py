@@ -7,7 +7,8 @@ The computed velocity of a sensor at rest is its error, eq. (34). Attitude and v
 uncorrected misalignment grows beyond what first order describes. Of the ten states seven can be observed; na_E, na_N
 and ep_E, with them level and heading, stay as the sensor's biases leave them.
 
-The covariance depends on time, place, grade and priors alone, so one filter serves a thousand runs at once.
+The covariance depends on time, place, grade, priors and process noise alone, so one filter serves a thousand runs at
+once; runs whose process noises differ (`noise`) have a covariance each.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from estimation.arrays import FloatArray
 
 STATES = 10
 DV, PHI, NA, EP = slice(0, 2), slice(2, 5), slice(5, 7), slice(7, 10)
+H = np.eye(2, STATES)  # (34)
 FEEDBACK_S = 1.0
 
 
@@ -51,12 +53,24 @@ def error_dynamics(place: Place) -> FloatArray:
 
 
 class FineAlignment:
-    """Feed it increments of a resting sensor, of one run or of many (..., 3)."""
+    """Feed it increments of a resting sensor, of one run or of many (..., 3).
+
+    The process noise is the grade's, angle and velocity random walk; `noise` (..., 2) takes its place: variances per
+    second of velocity [(m/s)^2/s] and of attitude [rad^2/s], one pair for all runs or one for each.
+    """
 
     def __init__(
-        self, place: Place, grade: SensorGrade, attitude: FloatArray, prior: Prior, velocity_sigma_m_s: float
+        self,
+        place: Place,
+        grade: SensorGrade,
+        attitude: FloatArray,
+        prior: Prior,
+        velocity_sigma_m_s: float,
+        noise: FloatArray | None = None,
     ) -> None:
-        runs = attitude.shape[:-2]
+        if noise is None:
+            noise = np.array([grade.velocity_walk**2, grade.angle_walk**2])
+        runs = np.broadcast_shapes(attitude.shape[:-2], noise.shape[:-1])
         self.strapdown = Strapdown(place, attitude, np.zeros((*runs, 3)), moves_place=False, holds_height=True)
         self.x = np.zeros((*runs, STATES))
         sigma = np.concatenate(
@@ -68,9 +82,12 @@ class FineAlignment:
             ]
         )
         self.p = np.diag(sigma**2)
-        self._f = error_dynamics(place)
-        self._noise = np.zeros(STATES)
-        self._noise[DV], self._noise[PHI] = grade.velocity_walk**2, grade.angle_walk**2
+        self._dt_s = 0.0
+        self._phi, self._q = np.eye(STATES), np.zeros((STATES, STATES))  # of an interval, (35)
+        self._noise = np.zeros((*noise.shape[:-1], STATES, STATES))
+        for states, of in ((DV, 0), (PHI, 1)):
+            for state in range(states.start, states.stop):
+                self._noise[..., state, state] = noise[..., of]
         self._r = velocity_sigma_m_s**2
         self._since_feedback_s = 0.0
         self.innovations_2 = np.zeros(runs)  # sum of squared innovations in their sigmas; two a step
@@ -79,24 +96,28 @@ class FineAlignment:
     def step(self, turn: FloatArray, push: FloatArray, dt_s: float, moved: FloatArray | float = 0.0) -> None:
         """One interval at rest: increments (..., 3); `moved` (..., 2) is the true velocity, as vibration makes it."""
         self.strapdown.step(turn, push, dt_s)
-        phi = np.eye(STATES) + self._f * dt_s + 0.5 * (self._f @ self._f) * dt_s**2
+        if dt_s != self._dt_s:
+            self._discretise(dt_s)
+        phi = self._phi
         self.x = self.x @ phi.T
-        q = np.diag(self._noise) * dt_s
-        self.p = phi @ self.p @ phi.T + 0.5 * (q + phi @ q @ phi.T)
-        s = self.p[DV, DV] + self._r * np.eye(2)
-        gain = self.p[:, DV] @ np.linalg.inv(s)
+        self.p = phi @ self.p @ phi.T + self._q
+        inverse = np.linalg.inv(self.p[..., DV, DV] + self._r * np.eye(2))
+        gain = self.p[..., :, DV] @ inverse
         innovation = self.strapdown.velocity[..., :2] - moved - self.x[..., DV]  # (34)
-        self.innovations_2 = self.innovations_2 + np.einsum(
-            "...i,ij,...j->...", innovation, np.linalg.inv(s), innovation
-        )
+        self.innovations_2 = self.innovations_2 + np.einsum("...i,...ij,...j->...", innovation, inverse, innovation)
         self.steps += 1
-        self.x = self.x + innovation @ gain.T
-        kept = np.eye(STATES)
-        kept[:, DV] -= gain
-        self.p = kept @ self.p @ kept.T + self._r * gain @ gain.T
+        self.x = self.x + np.einsum("...ij,...j->...i", gain, innovation)
+        kept = np.eye(STATES) - gain @ H
+        self.p = kept @ self.p @ np.swapaxes(kept, -1, -2) + self._r * gain @ np.swapaxes(gain, -1, -2)
         self._since_feedback_s += dt_s
         if self._since_feedback_s >= FEEDBACK_S - 1e-9:
             self.feed_back()
+
+    def _discretise(self, dt_s: float) -> None:
+        f, q = error_dynamics(self.strapdown.place), self._noise * dt_s
+        self._dt_s = dt_s
+        self._phi = np.eye(STATES) + f * dt_s + 0.5 * (f @ f) * dt_s**2
+        self._q = 0.5 * (q + self._phi @ q @ self._phi.T)
 
     def feed_back(self) -> None:
         """Correct attitude (29) and velocity by what is estimated; biases stay in the state."""
@@ -113,5 +134,5 @@ class FineAlignment:
 
     @property
     def sigma(self) -> FloatArray:
-        """Of the misalignment east, north, up [rad]."""
-        return np.asarray(np.sqrt(np.diag(self.p)[PHI]))
+        """Of the misalignment east, north, up [rad], (..., 3) with the shape of `noise`."""
+        return np.asarray(np.sqrt(np.diagonal(self.p, axis1=-2, axis2=-1)[..., PHI]))
