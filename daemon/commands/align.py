@@ -3,138 +3,179 @@
 from __future__ import annotations
 
 import argparse
-from math import degrees, inf
+from math import inf
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
-from daemon.commands import align_benchmark, choices
+from daemon.commands import align_benchmark, align_tables, choices
+
+if TYPE_CHECKING:
+    from daemon.imu.roles import Role
+    from daemon.offline.alignment import Alignment
+    from daemon.offline.rest import Rest
+    from daemon.settings import Settings
+    from estimation.alignment.earth import Place
 
 HELP = (
     "Initial alignment of the inertial sensor (paper B): level and heading of the support's axes from a rest at the "
-    "beginning of a recording, each with its sigma, the limit that the sensor sets, and whether it was observed. "
-    "--benchmark aligns virtual sensors of five grades beside what theory allows and paper B prints."
+    "beginning of a recording, or now beside the running daemon, each with its sigma, the limit that the sensor sets, "
+    "and whether it was observed. A JY901 recorded beside the sensor is aligned too, and both are compared. "
+    "--benchmark aligns virtual sensors of several grades beside what theory allows and paper B prints."
 )
-NO_LIMIT_DEG = 70.0  # of a heading: that is anything
-EXAMPLE = "ramstroke align shift1.mcap --latitude 39.84 --heading 35"
+EXAMPLE = (
+    "ramstroke align shift1.mcap --latitude 39.84 --heading 35 --save ramstroke.toml\n"
+    "  ramstroke align --live --config ramstroke.toml --latitude 39.84 --duration 60"
+)
+LIVE_S = 60.0  # of rest, where --duration does not say
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.add_argument("file", type=Path, nargs="?", help="the recording")
     parser.add_argument(
-        "--grade", default="adis16448_in_run", metavar="NAME", help="how good the sensor is; `list` shows"
+        "--live", action="store_true", help="the next --duration seconds (60) of what the running daemon records"
     )
+    parser.add_argument("--config", type=Path, help="configuration of that daemon; without it the default's socket")
+    parser.add_argument(
+        "--grade",
+        metavar="NAME",
+        help="how good the sensor is (default adis16448_in_run, or jy901 if that is the sensor); `list` shows",
+    )
+    parser.add_argument("--beside-grade", default="jy901", metavar="NAME", help="of the one beside (default jy901)")
     parser.add_argument("--grades", type=Path, metavar="FILE", help="sensor grades of your own, a TOML file")
     parser.add_argument("--latitude", type=float, metavar="DEG", help="of the place [deg]")
     parser.add_argument(
         "--height", type=float, default=0.0, metavar="M", help="of the place, negative below sea level [m]"
     )
     parser.add_argument(
-        "--heading", type=float, metavar="DEG", help="of the push, counter-clockwise from north, from the survey [deg]"
+        "--heading",
+        type=float,
+        metavar="DEG",
+        help="of the push, counter-clockwise from north, from the survey [deg]; default: heading_deg in [mount]",
     )
     parser.add_argument("--duration", type=float, default=inf, metavar="S", help="of rest to use at most [s]")
+    parser.add_argument(
+        "--save", type=Path, metavar="CONFIG", help="write the tilt, and the heading if known, into this configuration"
+    )
     parser.add_argument("--benchmark", action="store_true", help="virtual sensors instead, AL-1 to AL-9")
     parser.add_argument("--runs", type=int, default=200, help="of each setting of the benchmark (default 200)")
     parser.add_argument("--seed", type=int, default=1, help="of the benchmark (default 1)")
     parser.add_argument(
-        "--method", metavar="NAME", help="process noise of the benchmark by one method only; `list` shows all"
+        "--method",
+        metavar="NAME",
+        help="how to align; of the benchmark, which process noise: one method only; `list` shows all",
     )
-    parser.add_argument("--plot", type=Path, metavar="DIR", help="figures 5 and 7 of paper B, into this folder")
+    parser.add_argument(
+        "--plot",
+        type=Path,
+        metavar="DIR",
+        help="pictures into this folder: angles over time, or figures of paper B",
+    )
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Align, or show what alignment can do."""
-    from math import isfinite
-
-    from daemon import terminal
-    from daemon.errors import UsageError
-    from daemon.offline.alignment import align
+    from daemon.offline.alignment import METHODS, align
     from daemon.offline.grades import load_grades
-    from estimation.alignment.earth import Place
 
     grades = load_grades(arguments.grades)
     if arguments.grade == "list":
-        made = terminal.table("Sensor grades", "name", "gyro bias deg/h", "accelerometer bias mg", "from")
-        for name, grade in grades.items():
-            made.add_row(name, f"{grade.gyro_bias_deg_h:g}", f"{grade.accel_bias_mg:g}", grade.source)
-        terminal.OUT.print(made)
+        align_tables.print_grades(grades)
         return 0
-    if arguments.benchmark or arguments.method == "list":
+    if arguments.method == "list":
+        align_tables.print_methods(METHODS)
+        align_benchmark.print_methods()
+        return 0
+    if arguments.benchmark:
         return align_benchmark.run(arguments)
-    if arguments.method is not None or arguments.plot is not None:
-        raise UsageError("--method and --plot are for the benchmark: add --benchmark")
-    if arguments.file is None:
-        raise UsageError("name the recording to align on, or --benchmark")
+    place = _place(arguments)
+    method = choices.known("--method", arguments.method or "ours", METHODS)
+    if arguments.grade is not None:
+        choices.known("--grade", arguments.grade, grades)
+    choices.known("--beside-grade", arguments.beside_grade, grades)
+    path, settings, rests = _rests(arguments)
+    names = {"main": arguments.grade or _default_grade(settings), "beside": arguments.beside_grade}
+    heading_deg = settings.mount.heading_deg if arguments.heading is None else arguments.heading
+    found = {role: align(rest, grades[names[role]], place, heading_deg, method) for role, rest in rests.items()}
+    if arguments.plot is not None:
+        _draw(arguments.plot, path, settings, found)
+    if arguments.save is not None:
+        _save(arguments.save, path, settings, found, heading_deg)
+    if arguments.json:
+        align_tables.print_json(path, names, place, method, found)
+    else:
+        align_tables.print_all(settings, names, found, heading_deg)
+        if arguments.save is not None:
+            align_tables.say_saved(arguments.save)
+    return 0
+
+
+def _place(arguments: argparse.Namespace) -> Place:
+    """Where the sensor is, once all options are known to fit each other. Raises UsageError."""
+    from math import isfinite
+
+    from daemon.errors import UsageError
+    from estimation.alignment.earth import Place
+
+    if arguments.live and arguments.file is not None:
+        raise UsageError("--live aligns on what the daemon records now: name no recording beside it")
+    if not arguments.live and arguments.file is None:
+        raise UsageError("name the recording to align on, or --live, or --benchmark")
+    if arguments.config is not None and not arguments.live:
+        raise UsageError("--config names the running daemon: it goes with --live")
     if arguments.latitude is None:
         raise UsageError("--latitude is needed: gravity and the Earth's rate depend on it")
     if not arguments.duration > 0:
         raise UsageError("--duration must be above 0 s")
     if arguments.heading is not None and not isfinite(arguments.heading):
         raise UsageError("--heading must be a finite number of degrees")
-    grade = grades[choices.known("--grade", arguments.grade, grades)]
     try:
-        place = Place(arguments.latitude, arguments.height)
+        return Place(arguments.latitude, arguments.height)
     except ValueError as error:
         raise UsageError(str(error)) from error
-    with terminal.progress("messages") as progress:
-        found = align(arguments.file, grade, place, arguments.heading, arguments.duration, progress)
-    angles = [
-        {
-            "angle": angle.name,
-            "value_deg": degrees(angle.value),
-            "sigma_deg": degrees(angle.sigma),
-            "limit_deg": degrees(angle.limit),
-            "of_prior": angle.sigma / angle.prior_sigma,
-            "verdict": str(angle.verdict),
-        }
-        for angle in found.angles
-    ]
-    if arguments.json:
-        terminal.print_json(
-            {
-                "file": str(arguments.file),
-                "grade": arguments.grade,
-                "gravity_m_s2": place.gravity_m_s2,
-                "rest_s": found.rest_s,
-                "shocks": found.shocks,
-                "angles": angles,
-                "gyro_bias_deg_s": found.gyro_bias_deg_s.tolist(),
-                "gyro_bias_removed": found.bias_removed,
-                "nis": found.nis,
-                "faults": found.faults,
-            }
-        )
-        return 0
-    _print(angles, found.rest_s, found.shocks, [*found.gyro_bias_deg_s.tolist()], arguments.heading)
-    for fault in found.faults:
-        terminal.say(f"Doubtful: {fault}.")
-    if found.faults and arguments.grade == "adis16448_in_run":
-        terminal.say("For an ADIS16448 whose turn-on biases have not been taken out: --grade adis16448_turn_on.")
-    return 0
 
 
-def _print(
-    angles: list[dict[str, Any]], rest_s: float, shocks: int, gyro_bias_deg_s: list[float], heading_deg: float | None
-) -> None:
-    from math import isnan
+def _rests(arguments: argparse.Namespace) -> tuple[Path, Settings, dict[Role, Rest]]:
+    """The recording, the settings that it was made with, the rests of its sensors."""
+    from math import isinf
 
     from daemon import terminal
+    from daemon.configuration import load
+    from daemon.offline.live_rest import live_rests
+    from daemon.offline.replay import settings_of
+    from daemon.offline.rest import rests_at_beginning
+    from daemon.recording.reader import Recording
+    from daemon.settings import Settings
 
-    left_out = f", {shocks} tenths of a second with shocks left out" if shocks else ""
-    made = terminal.table(
-        f"Alignment on {rest_s:.1f} s of rest{left_out}", "angle", "deg", "± 1σ", "limit", "of prior", "verdict"
-    )
-    for angle in angles:
-        made.add_row(
-            angle["angle"],
-            "–" if isnan(angle["value_deg"]) else f"{angle['value_deg']:.4f}",
-            f"{angle['sigma_deg']:.4f}",
-            f"{angle['limit_deg']:.4f}" if angle["limit_deg"] < NO_LIMIT_DEG else "none",
-            f"{angle['of_prior']:.2f}",
-            angle["verdict"],
-        )
-    terminal.OUT.print(made)
-    terminal.say(f"Gyroscopes at rest: {', '.join(f'{one:+.4f}' for one in gyro_bias_deg_s)} deg/s (across, push, up).")
-    if angles[2]["verdict"].startswith("refused") and heading_deg is None:
-        terminal.say("The heading must come from the face survey: --heading DEG.")
+    if arguments.live:
+        settings = load(arguments.config) if arguments.config else Settings()
+        seconds = LIVE_S if isinf(arguments.duration) else arguments.duration
+        with terminal.progress("seconds of rest", seconds) as progress:
+            path, rests = live_rests(settings.service.socket, seconds, progress)
+    else:
+        path = arguments.file
+        with terminal.progress("messages") as progress:
+            rests = rests_at_beginning(path, arguments.duration, progress)
+    return path, settings_of(Recording(path)), rests
+
+
+def _default_grade(settings: Settings) -> str:
+    return "jy901" if settings.jy901.use == "instead" else "adis16448_in_run"
+
+
+def _draw(folder: Path, path: Path, settings: Settings, found: dict[Role, Alignment]) -> None:
+    from daemon import terminal
+    from daemon.offline.alignment_course_plot import draw_course
+
+    choices.picture_folder("--plot", folder)
+    terminal.say(f"Picture: {draw_course(found, align_tables.names_of(settings), path.name, folder)}")
+
+
+def _save(
+    config: Path, path: Path, settings: Settings, found: dict[Role, Alignment], heading_deg: float | None
+) -> None:
+    """Raises CommandError where the level may not be claimed."""
+    from daemon.offline.aligned_configuration import save
+
+    save(config, path, settings, found, heading_deg)

@@ -6,13 +6,12 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from daemon.commands import choices
+from daemon.commands import align_tables, choices
 
 if TYPE_CHECKING:
     from daemon.offline.alignment_tuning import Tuned
     from estimation.alignment.scenarios import Alignment
 
-NO_LIMIT_DEG = 70.0  # of a heading: that is anything
 TUNED_SHARE = 10  # of --runs one in ten is tuned on: a search is 2,000 alignments
 NOTE = (
     "Level errors of 4 to 6e-5 rad are what an accelerometer bias of 50 ug leaves (AL-1, AL-8). A yaw of 2.4e-7 in "
@@ -37,10 +36,9 @@ def run(arguments: argparse.Namespace) -> int:
         tune_all,
     )
 
-    if arguments.method == "list":
-        return _show(METHODS)
-    if arguments.file is not None:
-        raise UsageError("--benchmark makes its own data: name no recording beside it")
+    for name, used in (("a recording", arguments.file), ("--live", arguments.live), ("--save", arguments.save)):
+        if used:
+            raise UsageError(f"--benchmark makes its own data: {name} does not go with it")
     if arguments.runs < 2:
         raise UsageError("--runs must be at least 2")
     if arguments.seed < 0:
@@ -70,14 +68,16 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _show(methods: dict[str, str]) -> int:
+def print_methods() -> None:
+    """Those of the benchmark."""
     from daemon import terminal
+    from daemon.offline.alignment_tuning import METHODS
 
-    made = terminal.table("Methods", "process noise by", "what")
-    for name, about in methods.items():
+    made = terminal.table("Methods of --benchmark", "process noise by", "what")
+    made.columns[1].justify = "left"
+    for name, about in METHODS.items():
         made.add_row(name, about)
     terminal.OUT.print(made)
-    return 0
 
 
 def _draw(tuned: list[Tuned], methods: tuple[str, ...], seed: int, folder: Path) -> list[Path]:
@@ -189,7 +189,7 @@ def _print_experiment(rows: list[dict[str, Any]]) -> None:
             row["axis"],
             f"{row['rms_deg']:.3f}",
             f"{row['sigma_deg']:.3f}",
-            *(f"{end:.3f}" if end < NO_LIMIT_DEG else "none" for end in ends),
+            *(f"{end:.3f}" if end < align_tables.NO_LIMIT_DEG else "none" for end in ends),
             f"{row['printed_error_deg']:.4f}",
             row["verdict"],
         )

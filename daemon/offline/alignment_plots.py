@@ -29,7 +29,7 @@ SETTLED = 10  # steps: the first second, in which the level comes from its prior
 
 def draw_figure_5(tuned: Sequence[Tuned], seed: int, folder: Path) -> Path:
     """Errors of one run against time: on the left all of them, on the right the scale of the best."""
-    figure, axes = _figure(
+    figure, axes = figure_of(
         2, f"paper B, figure 5: error of a virtual sensor at rest by process noise, AL-8, seed {seed}"
     )
     shown = [one for one in tuned if one.method in AS_PRINTED] or list(tuned)
@@ -44,7 +44,7 @@ def draw_figure_5(tuned: Sequence[Tuned], seed: int, folder: Path) -> Path:
         whole.set_ylabel(f"{axis} error [deg]")
         errors = np.degrees(np.array([method.course[:, RUN, i] for method in shown]))
         if axis == "yaw":
-            close.set_ylim(*_around(errors))
+            close.set_ylim(*around(errors))
         elif shown[0].method == OURS:
             reach = ZOOM_SIGMAS * float(np.degrees(shown[0].sigma[-1, i]))
             close.set_ylim(-reach, reach)
@@ -52,12 +52,12 @@ def draw_figure_5(tuned: Sequence[Tuned], seed: int, folder: Path) -> Path:
     axes[0][1].set_title(f"the same, enlarged: ± {ZOOM_SIGMAS:g}σ", fontsize=9)
     axes[2][0].set_title("yaw is not observed in 5 s: the error stays what it was", fontsize=9)
     axes[2][1].set_title("the same, enlarged to the lines", fontsize=9)
-    return _save(figure, axes, folder / "paper-b-5.png")
+    return save(figure, axes, folder / "paper-b-5.png")
 
 
 def draw_figure_7(records: Records, tuned: Sequence[Tuned], seed: int, folder: Path) -> Path:
     """Angles of one resting sensor against time, with its true attitude."""
-    figure, axes = _figure(1, f"paper B, figure 7: angles of a virtual JY901 at rest by process noise, seed {seed}")
+    figure, axes = figure_of(1, f"paper B, figure 7: angles of a virtual JY901 at rest by process noise, seed {seed}")
     true = np.degrees(np.stack(to_angles(records.sensors.true), axis=-1)[RUN])
     for i, (axis, (one,)) in enumerate(zip(AXES, axes, strict=True)):
         one.axhline(true[i], color="black", linewidth=1.5, label="truth", zorder=4)
@@ -70,21 +70,22 @@ def draw_figure_7(records: Records, tuned: Sequence[Tuned], seed: int, folder: P
                 sigma = np.degrees(method.sigma[:, i])
                 settled += [angle[SETTLED:] - sigma[SETTLED:], angle[SETTLED:] + sigma[SETTLED:]]
                 _band(one, angle - sigma, angle + sigma, "ours: stated ± 1σ")
-        one.set_ylim(*_around(np.concatenate(settled)))
+        one.set_ylim(*around(np.concatenate(settled)))
         one.set_ylabel(f"{axis} [deg]")
     axes[0][0].set_title("level: the band is the accelerometers' bias of 10 mg, which rest does not show", fontsize=9)
     axes[2][0].set_title("yaw: refused, it stays the survey's and drifts with the gyroscopes' bias", fontsize=9)
-    return _save(figure, axes, folder / "paper-b-7.png")
+    return save(figure, axes, folder / "paper-b-7.png")
 
 
-def _around(values: FloatArray) -> tuple[float, float]:
+def around(values: FloatArray) -> tuple[float, float]:
     """Limits of an axis that shows all of them."""
     low, high = float(values.min()), float(values.max())
     margin = 0.05 * (high - low) or 1e-6
     return low - margin, high + margin
 
 
-def _figure(columns: int, title: str) -> tuple[Figure, list[list[Axes]]]:
+def figure_of(columns: int, title: str) -> tuple[Figure, list[list[Axes]]]:
+    """One row for each angle."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -113,7 +114,8 @@ def _band(axes: Axes, low: FloatArray, high: FloatArray, label: str) -> None:
     axes.fill_between(t_s, low, high, color=BLUE, alpha=0.15, linewidth=0, label=label)
 
 
-def _save(figure: Figure, axes: list[list[Axes]], path: Path) -> Path:
+def save(figure: Figure, axes: list[list[Axes]], path: Path) -> Path:
+    """With grid, legend and time below."""
     for one in figure.axes:
         one.grid(alpha=0.3)
         one.margins(x=0)

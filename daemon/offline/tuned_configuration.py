@@ -1,21 +1,14 @@
-"""Tuned values into a configuration file, with where they come from; what else stands in the file stays as it is."""
+"""Where tuned values come from, for the configuration file that gets them."""
 
 from __future__ import annotations
 
-import json
-import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from math import isfinite
 from pathlib import Path
 from typing import Any
 
-import tomlkit
-from tomlkit.exceptions import TOMLKitError
-from tomlkit.items import Table
-
-from daemon.configuration import ConfigurationError, load
-from daemon.errors import UsageError
+from daemon.offline import edited_configuration
 from daemon.offline.tuning_recordings import fingerprint
 from daemon.recording.metadata import program_version
 from daemon.settings import Settings
@@ -28,60 +21,9 @@ def save(
 ) -> None:
     """Put the values (section -> key -> value) into the file, made from `settings` if there is none.
 
-    Written beside it and moved into place once it has been read back as a good configuration. Raises UsageError, or
-    ConfigurationError where the file as it stands is none.
+    Raises UsageError, or ConfigurationError where the file as it stands is none.
     """
-    path = path.resolve()  # a link stays one
-    if path.exists():
-        load(path)  # refuse to write into what is no good configuration
-        with path.open(encoding="utf-8", newline="") as file:  # its ends of line stay, too
-            document = tomlkit.parse(file.read())
-    else:
-        document = tomlkit.parse(tomlkit.dumps(json.loads(settings.model_dump_json(exclude_none=True))))
-    origin = _origin(files, row)
-    draft = path.with_name(path.name + ".new")
-    try:
-        for section, keys in values.items():
-            _put(document, section, keys, origin)
-        with draft.open("w", encoding="utf-8", newline="") as file:
-            file.write(tomlkit.dumps(document))
-        load(draft)
-        os.replace(draft, path)
-    except (TOMLKitError, ConfigurationError) as error:
-        raise UsageError(f"--save {path}: its form is beyond what can be edited here; name a new file") from error
-    except OSError as error:
-        raise UsageError(f"--save {path}: {error.strerror}; name a file in a folder that can be written") from error
-    finally:
-        draft.unlink(missing_ok=True)
-
-
-def _put(document: Any, section: str, keys: dict[str, Any], origin: str) -> None:
-    """Values that stand there are replaced in place, new ones come first in their section, above what is commented."""
-    table = document.get(section, tomlkit.table())
-    said = {key: _said(table[key]) for key in keys if key in table}
-    fresh = tomlkit.table()
-    for key, value in keys.items():
-        if key not in table:
-            fresh.add(key, _number(value))
-    body: Iterable[tuple[Any, Any]] = table.value.body if isinstance(table, Table) else table.items()
-    for name, item in body:
-        if name is None:
-            fresh.add(item)  # a comment, an empty line
-        else:
-            fresh.add(name, item)
-    first = next(iter(keys))
-    for key, value in keys.items():
-        fresh[key] = _number(value)
-        comment = "; ".join(part for part in (said.get(key, ""), origin if key == first else "") if part)
-        if comment:
-            fresh[key].comment(comment)
-    document[section] = fresh
-
-
-def _said(item: Any) -> str:
-    """A value's own comment, without what an earlier tuning said."""
-    comment: str = item.trivia.comment
-    return comment.removeprefix("#").partition(MARK)[0].strip().rstrip(";").strip()
+    edited_configuration.save(path, values, settings, MARK, _origin(files, row))
 
 
 def _origin(files: Sequence[Path], row: dict[str, Any]) -> str:
@@ -96,8 +38,3 @@ def _origin(files: Sequence[Path], row: dict[str, Any]) -> str:
         f"{row['objective']}, seed {row['seed']}, {row['evaluations']} evaluations{interval}; "
         f"{', '.join(file.name for file in files)} (SHA-256 {fingerprint(files)[:16]})"
     )
-
-
-def _number(value: Any) -> Any:
-    """Six digits: more the data never tell."""
-    return float(f"{value:.6g}") if isinstance(value, float) else value

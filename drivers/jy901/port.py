@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import termios
 from typing import Protocol
 
@@ -89,4 +90,5 @@ class PySerialPort:
 
 
 def _reason(error: BaseException) -> str:
-    return str(getattr(error, "strerror", None) or error)
+    number = getattr(error, "errno", None)  # pyserial's errors have it, but no words of their own
+    return os.strerror(number) if isinstance(number, int) else str(error)

@@ -24,6 +24,7 @@ class Verdict(StrEnum):
     OBSERVED = "observed"
     NOT_OBSERVED = "not observed: value is the prior"
     DOUBTFUL = "doubtful: this grade does not explain what was felt"
+    PRINTED = "as printed: nothing tells how good it is"
     REFUSED = "refused: the gyroscopes cannot feel the Earth's rate"
 
 

@@ -130,7 +130,7 @@ def test_benchmark_prints_what_is_possible_beside_the_paper(capsys: pytest.Captu
         ([DEMO, "--latitude", "40", "--grade", "navigatoin"], 2, "did you mean navigation?"),
         ([DEMO, "--latitude", "40", "--heading", "nan"], 2, "--heading must be a finite number"),
         ([DEMO, "--latitude", "40", "--duration", "2"], 1, "of rest at its beginning are too little"),
-        ([DEMO, "--benchmark"], 2, "name no recording"),
+        ([DEMO, "--benchmark"], 2, "a recording does not go with it"),
         (["--benchmark", "--runs", "1"], 2, "--runs must be at least 2"),
         ([Path("missing.mcap"), "--latitude", "40"], 1, "missing.mcap"),
         ([DEMO, "--latitude", "40", "--grades", Path("missing.toml")], 2, "missing.toml"),

@@ -151,8 +151,9 @@ def test_methods_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
         (["--benchmark", "--method", "gfoo"], "did you mean gfoa?"),
         (["--benchmark", "--method", "zebra"], "--method list shows"),
         (["--benchmark", "--plot", Path(__file__) / "pictures"], "name a folder that can be written"),
-        (["recording.mcap", "--latitude", "40", "--method", "foa"], "add --benchmark"),
-        (["recording.mcap", "--latitude", "40", "--plot", "pictures"], "add --benchmark"),
+        (["recording.mcap", "--latitude", "40", "--method", "foa"], "--method list shows"),
+        (["--benchmark", "--save", "c.toml"], "--save does not go with it"),
+        (["--benchmark", "--live"], "--live does not go with it"),
         (["--benchmark", "--seed", "-1"], "--seed must not be negative"),
     ],
 )

@@ -23,7 +23,7 @@ from daemon.recording.metadata import describe
 from daemon.recording.topics import IMU_SAMPLE
 from daemon.recording.writer import RecordingWriter
 from daemon.settings import Settings
-from daemon.simulation.run import SimulatedRun
+from daemon.simulation.run import Devices, SimulatedRun
 from daemon.simulation.stream import SimulatedStream
 from drivers.clock import VirtualClock
 from drivers.virtual.adis16448 import VirtualAdis16448
@@ -49,7 +49,7 @@ def played(path: Path, source: InertialInput, errors: SensorErrors) -> Path:
     settings = Settings.model_validate({"imu": {"transport": "virtual"}, "can": {"enabled": False}})
     clock = VirtualClock()
     controller = VirtualController(iter(()), settings.can.displacement, ())
-    run = SimulatedRun(settings, VirtualAdis16448(source, clock, errors=errors), controller, clock)
+    run = SimulatedRun(settings, Devices(controller, VirtualAdis16448(source, clock, errors=errors)), clock)
     metadata = describe("recording", settings.model_dump_json())
     written: list[RecordingWriter] = []
     with (

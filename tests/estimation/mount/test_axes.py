@@ -5,8 +5,11 @@ from typing import get_args
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from pydantic import ValidationError
 
+from estimation.alignment.attitude import from_angles
 from estimation.mount.axes import Mount
 from estimation.settings import MountSettings, SignedAxis, SupportSettings
 
@@ -45,3 +48,16 @@ def test_initial_stroke_beyond_the_stroke_is_refused() -> None:
     assert SupportSettings(stroke_mm=400, initial_mm=400).initial_mm == 400
     with pytest.raises(ValidationError, match="initial_mm = 500 lies beyond stroke_mm = 400"):
         SupportSettings(stroke_mm=400, initial_mm=500)
+
+
+@given(st.floats(-45, 45), st.floats(-45, 45), st.sampled_from(PAIRS))
+def test_a_tilt_is_taken_off(pitch_deg: float, roll_deg: float, axes: tuple[SignedAxis, SignedAxis]) -> None:
+    """The attitude at heading 0, by the alignment's own matrices."""
+    push, up = axes
+    nominal = Mount(MountSettings(push=push, up=up))
+    tilted = Mount(MountSettings(push=push, up=up, pitch_deg=pitch_deg, roll_deg=roll_deg))
+    attitude = from_angles(*(np.radians(np.array(one)) for one in (pitch_deg, roll_deg, 0.0)))
+    v = (0.3, -9.0, 2.0)
+    np.testing.assert_allclose(tilted.to_support(v), attitude @ nominal.to_support(v), atol=1e-14)
+    same = Mount(MountSettings(push=push, up=up, pitch_deg=pitch_deg, roll_deg=roll_deg), with_tilt=False)
+    assert same.to_support(v) == nominal.to_support(v)
