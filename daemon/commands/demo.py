@@ -38,7 +38,7 @@ def run(arguments: argparse.Namespace) -> int:
     from daemon.errors import CommandError, UsageError
     from daemon.offline.plots import plot_demo
     from daemon.simulation.demo import demo_settings, run_demo
-    from daemon.simulation.fault_file import load_faults
+    from daemon.simulation.fault_file import load_faults, refuse_unplayable
     from daemon.simulation.virtual import virtual_support
 
     if arguments.seed < 0:
@@ -52,6 +52,8 @@ def run(arguments: argparse.Namespace) -> int:
         ) from error
     recording, picture = arguments.out / "demo.mcap", arguments.out / "demo.png"
     settings = demo_settings(arguments.seed, arguments.imu)
+    if faults is not None:
+        refuse_unplayable(faults, settings.jy901.use)
     with terminal.progress("virtual cycle", 1.0) as progress:
         result = run_demo(settings, recording, progress, faults)
     plot_demo(picture, virtual_support(settings, cycles=1).truth(), result.settled, result.observed)

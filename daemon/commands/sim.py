@@ -7,8 +7,8 @@ from pathlib import Path
 
 HELP = (
     "A virtual support in real time for another process: the virtual ADIS16448 on the Unix socket "
-    "imu.socket_path, the virtual controller on the CAN interface, both from one motion. With --faults they go "
-    "wrong as a script says."
+    "imu.socket_path, a JY901 on a pseudo-terminal under the name jy901.port, the virtual controller on the CAN "
+    "interface, all from one motion. With --faults they go wrong as a script says."
 )
 EXAMPLE = (
     "ramstroke sim --config config/trial.toml   # and in another terminal: ramstroke run --config config/trial.toml\n"
@@ -36,7 +36,7 @@ def run(arguments: argparse.Namespace) -> int:
     from daemon.configuration import load
     from daemon.errors import UsageError
     from daemon.logs import configure_logging
-    from daemon.simulation.fault_file import load_faults
+    from daemon.simulation.fault_file import load_faults, refuse_unplayable
     from daemon.simulation.server import simulate
 
     settings = load(arguments.config)
@@ -50,6 +50,8 @@ def run(arguments: argparse.Namespace) -> int:
             'with sim choose "udp_multicast" or "socketcan", or set can.enabled = false'
         )
     faults = None if arguments.faults is None else load_faults(arguments.faults)
+    if faults is not None:
+        refuse_unplayable(faults, settings.jy901.use)
     configure_logging(verbose=False)
     # The thread that tells of an edge must not wait for the one that computes the motion.
     sys.setswitchinterval(_SWITCH_INTERVAL_S)

@@ -10,8 +10,9 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from daemon.errors import UsageError
 from daemon.toml_errors import ConfigurationError, plain, read_toml, suggestion, unit_of
-from drivers.virtual.faults import KINDS, FaultScript
+from drivers.virtual.faults import KINDS, EdgeFault, FaultScript, Jy901Fault, PartFault, SerialFault, WireFault
 
 
 def load_faults(path: Path) -> FaultScript:
@@ -23,6 +24,20 @@ def load_faults(path: Path) -> FaultScript:
     except ValidationError as error:
         faults = [fault for fault in error.errors() if not _is_echo(fault)]
         raise ConfigurationError([_sentence(path, text, fault) for fault in faults]) from error
+
+
+def refuse_unplayable(script: FaultScript, use: str) -> None:
+    """Raise UsageError if a fault of the script is one of a part that `jy901.use` leaves out."""
+    for fault in script.fault:
+        if use == "no" and isinstance(fault, SerialFault | Jy901Fault):
+            raise UsageError(
+                f"the fault script has {fault.kind}, which only a JY901 can play: set use in [jy901], or --imu of demo"
+            )
+        if use == "instead" and isinstance(fault, PartFault | WireFault | EdgeFault):
+            raise UsageError(
+                f"the fault script has {fault.kind}, which only an ADIS16448 can play, and a JY901 is in its place: "
+                "delete it from the script"
+            )
 
 
 def _is_echo(fault: Any) -> bool:

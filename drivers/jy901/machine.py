@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from collections import deque
 from collections.abc import Callable, Generator
 from dataclasses import replace
 
@@ -12,6 +11,7 @@ from drivers.condition import OK, Condition, Wellness
 from drivers.jy901.counters import Jy901Counters
 from drivers.jy901.identity import Jy901Identity
 from drivers.jy901.port import PortError, SerialPort
+from drivers.jy901.quality import QualityWatch
 from drivers.jy901.reading import Reading
 from drivers.jy901.samples import SampleReader
 from drivers.jy901.set_up import Found, Jy901Error, bandwidth_hz, set_up
@@ -24,11 +24,6 @@ GARBLED_S = 0.3  # of bytes that make no sample: the part was without supply and
 LOST_S = 5.0  # without a byte: it is looked for anew, at every baud rate
 SLOW_NS = 10_000_000_000  # a part that sends far too few samples has lost its settings; it is set up again that often
 _SLICE_S = 0.05
-_JUDGE_NS = 500_000_000
-_STEPS = 10  # judged over the last five seconds
-_ILL_SHARE, _WELL_SHARE = 0.01, 0.005
-_LEAST_LOST = 3
-_SLOW_SHARE = 0.95  # of the wanted rate
 _DEAD_BAND = 400  # samples in a row whose rate is exactly zero; noise does not do that
 
 _SOUGHT = Condition(Wellness.WAITING, "the part is looked for on the serial line", "this takes a second or two")
@@ -39,8 +34,6 @@ _GARBLED = Condition(
     "the part is looked for anew; check its supply if that comes often",
 )
 _SLOW = Condition(Wellness.WAITING, "the part has lost its settings", "check the sensor's supply")
-_FROZEN = ("the samples stand still", "switch the sensor's supply off and on; if that goes on, replace the sensor")
-_NOISY = ("samples are lost on the serial line", "check the wires for length and contact; a lower baud rate bears more")
 _AGAIN = "it is tried again and again; see port in [jy901]"
 _DEAD_BAND_NOTE = (
     "the gyroscopes read exactly zero: the part's dead band hides slow rates, so no bias can be seen at rest and no "
@@ -80,9 +73,7 @@ class Jy901:
         self._heard_ns = 0  # last sample
         self._garbled_ns: int | None = None  # first bytes after it
         self._slow_ns = 0
-        self._judge_ns = 0
-        self._marks: deque[tuple[int, int, int, int]] = deque(maxlen=_STEPS + 1)  # time, samples, lost, damage
-        self._is_noisy = False
+        self._quality = QualityWatch(self.counters, settings.rate_hz)
         self._is_frozen = False
         self._zeros = 0
 
@@ -153,10 +144,8 @@ class Jy901:
         self.counters.starts += 1
         self._reader = SampleReader(found.baud, self._settings.rate_hz, bandwidth_hz(self._settings))
         self._heard_ns = now_ns
-        self._judge_ns = now_ns + _JUDGE_NS
-        self._marks.clear()
-        self.counters.rate_hz = 0.0
-        self._is_noisy = self._is_frozen = False
+        self._quality.begin()
+        self._is_frozen = False
         self._garbled_ns = None
         if known is None:
             self._quiet.say(logging.INFO, f"{self.identity.name} is running at {found.baud} baud")
@@ -180,10 +169,10 @@ class Jy901:
         items += readings
         self._count()
         if readings:
+            if now_ns - self._heard_ns > SILENT_S * 1e9:
+                self._quality.begin()
             self._heard_ns, self._garbled_ns = now_ns, None
-            if now_ns >= self._judge_ns:
-                self._judge_ns = now_ns + _JUDGE_NS
-                self._quiet.flush()
+            if self._quality.is_due(now_ns):
                 self._judge(now_ns)
         else:
             self._bear_silence(now_ns, has_bytes=bool(data))
@@ -224,33 +213,12 @@ class Jy901:
         self._reader = None
 
     def _judge(self, now_ns: int) -> None:
-        counters, wanted = self.counters, self._settings.rate_hz
-        damage = counters.halves + counters.skipped_bytes
-        self._marks.append((now_ns, counters.samples, counters.lost, damage))
-        since_ns, samples, lost, damaged = self._marks[0]
-        samples, lost, damaged = counters.samples - samples, counters.lost - lost, damage - damaged
-        seconds = (now_ns - since_ns) * 1e-9
-        if seconds >= 2.0:
-            counters.rate_hz = round(samples / seconds, 1)
-        # A line that brings whole packets and too few of them: it is the part that sends no more.
-        is_slow = not damaged and 0 < counters.rate_hz < _SLOW_SHARE * wanted
-        if is_slow and counters.rate_hz < 0.5 * wanted and now_ns - self._slow_ns > SLOW_NS:
+        self._quiet.flush()
+        complaints = self._quality.complaints(now_ns, is_frozen=self._is_frozen)
+        if self._quality.has_lost_settings and now_ns - self._slow_ns > SLOW_NS:
             self._slow_ns = now_ns
             self._start_anew(_SLOW)
-            return
-        share = _WELL_SHARE if self._is_noisy else _ILL_SHARE
-        self._is_noisy = not is_slow and lost >= _LEAST_LOST and lost > share * (samples + lost)
-        complaints = [_FROZEN] if self._is_frozen else []
-        if self._is_noisy:
-            complaints.append(_NOISY)
-        if is_slow:
-            complaints.append(
-                (
-                    f"the part sends {counters.rate_hz:.0f} samples a second, not {wanted}",
-                    "set a higher baud or bandwidth_hz in [jy901], or a lower rate_hz",
-                )
-            )
-        if complaints:
+        elif complaints:
             self.condition = Condition(Wellness.ILL, "; ".join(what for what, _ in complaints), complaints[0][1])
         else:
             self.condition = OK

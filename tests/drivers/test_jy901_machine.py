@@ -59,6 +59,7 @@ def test_each_fault_is_told_survived_and_counted(kind: str) -> None:
     told = conditions(bench, 12.0)
     assert any(one.word is word and words in one.what for one in told), told
     assert all(one.advice for one in told if one.what)
+    assert not any("samples a second" in one.what for one in told)
     assert longest_gap_s(bench) < 2.0 + beyond_s
     assert getattr(bench.sensor.counters, counted) > 0
     bench.run(20.0)
