@@ -104,7 +104,15 @@ def test_level_of_the_real_recording_is_the_cameras(capsys: pytest.CaptureFixtur
     assert answer["rest_s"] == pytest.approx(seconds[begun] - seconds[0], abs=0.3)
     seen = real.orientation[:begun]
     w, x, y, z = seen[~np.isnan(seen).any(axis=1)].T
-    true = Rotation.from_quat(np.column_stack([x, y, z, w])).mean().as_matrix()
+    turned = Rotation.from_quat(np.column_stack([x, y, z, w]))
+    true = turned.mean().as_matrix()
+    # The bias is what the gyroscopes say beyond the turning that the cameras saw.
+    half, known_s = len(turned) // 2, seconds[:begun][~np.isnan(seen).any(axis=1)]
+    seen_deg_s = (turned[:half].mean().inv() * turned[half:].mean()).as_rotvec(degrees=True) / (
+        known_s[half:].mean() - known_s[:half].mean()
+    )
+    felt_deg_s = np.degrees(real.motion[:begun, :3].mean(axis=0))
+    np.testing.assert_allclose(answer["gyro_bias_deg_s"], felt_deg_s - seen_deg_s, atol=0.03)
     pitch, roll, _ = answer["angles"]
     assert pitch["value_deg"] == pytest.approx(float(np.degrees(np.arcsin(true[2, 1]))), abs=0.1)
     assert roll["value_deg"] == pytest.approx(float(np.degrees(np.arctan2(-true[2, 0], true[2, 2]))), abs=0.1)
