@@ -266,7 +266,7 @@ class Application:
                 self._strokes_learned = self._stream.pipeline.strokes_learned
                 self._has_learned.set()
         elif isinstance(record, Event):
-            _log.info("%s", record.what)
+            _log.info("%s", record.what, extra={"fields": {"part": "estimator", "time_ns": record.t_ns}})
             self._live.push("event", {"t_s": record.t_ns * 1e-9, "what": record.what})
         elif isinstance(record, Move):
             self._live.push("move", move_row(record))

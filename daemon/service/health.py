@@ -69,10 +69,12 @@ class HealthBook:
         flapping = f" ({entry.untold} changes in the last {now_s - since_s:.0f} s)" if entry.untold > 1 else ""
         if condition.word is Wellness.WAITING and now_s - entry.met_s < START_UP_S:
             return
+        fields = {"part": part, "state": condition.word, "what": condition.what, "advice": condition.advice}
         if condition.what:
-            _log.warning("%s: %s; %s%s", part, condition.what, condition.advice, flapping)
+            sentence = "%s: %s; %s%s"
+            _log.warning(sentence, part, condition.what, condition.advice, flapping, extra={"fields": fields})
         elif entry.logged_s > float("-inf"):
-            _log.info("%s: well again%s", part, flapping)
+            _log.info("%s: well again%s", part, flapping, extra={"fields": fields})
         entry.logged, entry.logged_s, entry.untold = condition, now_s, 0
 
 

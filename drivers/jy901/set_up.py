@@ -114,8 +114,8 @@ def find(port: SerialPort, likely: int, clock: Clock) -> Generator[None, None, i
 
 
 def bandwidth_hz(settings: Jy901Settings) -> int:
-    """The filter to set: as wanted, else the lowest above the sample rate."""
-    return settings.bandwidth_hz or min(one for one in BANDWIDTH_CODES if one > settings.rate_hz)
+    """The filter to set: as wanted, else the highest that lets no vibration fold into what the samples show."""
+    return settings.bandwidth_hz or max(one for one in BANDWIDTH_CODES if 2 * one <= settings.rate_hz)
 
 
 def _write(port: SerialPort, settings: Jy901Settings, rate_code: int, clock: Clock) -> Waiting:

@@ -31,8 +31,8 @@ class Jy901Settings(BaseModel):
     rate_hz: Literal[10, 20, 50, 100, 200] = Field(200, description="samples a second [Hz]")
     bandwidth_hz: Literal[5, 10, 21, 44, 94, 184, 256] | None = Field(
         None,
-        description="the part's low-pass filter [Hz]; not set: the lowest above rate_hz, as below it the part sends "
-        "fewer samples",
+        description="the part's low-pass filter [Hz]; not set: the highest up to half of rate_hz, so that no vibration "
+        "beyond it folds into what is seen; firmware that then sends fewer samples wants one above rate_hz",
     )
     save: bool = Field(
         False, description="save baud rate, sample rate and filter in the part, so that it starts with them"

@@ -32,7 +32,7 @@ def test_set_up_as_wanted_and_nothing_is_saved() -> None:
     assert found.was_changed
     assert bench.part.registers[CONTENT] == 0x0006
     assert bench.part.rate_hz == 100
-    assert bench.part.registers[BANDWIDTH] == 1  # 184 Hz, the next above the rate
+    assert bench.part.registers[BANDWIDTH] == 3  # 44 Hz, the next below half the rate
     assert bench.part.saves == 0
     bench.part.power_cycle(bench.clock.now_ns())
     assert bench.part.baud == 9600

@@ -1,0 +1,130 @@
+"""`install-service` and `remove-service` into a folder that stands for a computer."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from daemon.cli import main
+from daemon.errors import CommandError
+from daemon.service import installer
+from daemon.service.installer import CONFIGURATION, FILES, REALTIME, STATE, shipped
+
+
+def install(root: Path, *more: str) -> int:
+    return main(["install-service", "--root", str(root), *more])
+
+
+def test_everything_is_put_there_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert install(tmp_path) == 0
+    said = capsys.readouterr().out + capsys.readouterr().err
+    for path in (*FILES.values(), CONFIGURATION):
+        assert (tmp_path / path).is_file()
+        assert f"wrote /{path}" in said
+    assert (tmp_path / "usr/local/bin/ramstroke").is_symlink()
+    assert not (tmp_path / REALTIME).exists()
+    assert install(tmp_path) == 0
+    assert "wrote" not in capsys.readouterr().out  # nothing was of another version
+
+
+def test_units_name_the_program_where_it_is(tmp_path: Path) -> None:
+    assert install(tmp_path) == 0
+    text = (tmp_path / FILES["ramstroke.service"]).read_text()
+    assert f"ExecStart={sys.prefix}/bin/ramstroke run --config /etc/ramstroke/ramstroke.toml" in text
+
+
+def test_an_upgrade_mends_the_unit_and_keeps_what_people_wrote(tmp_path: Path) -> None:
+    assert install(tmp_path, "--realtime") == 0
+    unit, config = tmp_path / FILES["ramstroke.service"], tmp_path / CONFIGURATION
+    unit.write_text("[Unit]\nDescription=of an older version\n")
+    config.write_text("[support]\nstroke_mm = 900\n")
+    recording = tmp_path / STATE / "recordings" / "one.mcap"
+    recording.parent.mkdir(parents=True)
+    recording.write_bytes(b"precious")
+    assert install(tmp_path) == 0
+    assert "of an older version" not in unit.read_text()
+    assert config.read_text() == "[support]\nstroke_mm = 900\n"
+    assert recording.read_bytes() == b"precious"
+    assert (tmp_path / REALTIME).is_file()
+
+
+def test_removal_keeps_what_cannot_be_made_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert install(tmp_path, "--realtime") == 0
+    recording = tmp_path / STATE / "one.mcap"
+    recording.parent.mkdir(parents=True)
+    recording.write_bytes(b"precious")
+    assert main(["remove-service", "--root", str(tmp_path)]) == 0
+    assert "kept /var/lib/ramstroke" in capsys.readouterr().out
+    left = sorted(str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if not path.is_dir())
+    assert left == ["etc/ramstroke/ramstroke.toml", "var/lib/ramstroke/one.mcap"]
+    assert main(["remove-service", "--root", str(tmp_path), "--purge"]) == 0
+    assert [path for path in tmp_path.rglob("*") if not path.is_dir()] == []
+
+
+def test_a_program_of_that_name_that_is_not_ours_stays(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    other = tmp_path / "usr/local/bin/ramstroke"
+    other.parent.mkdir(parents=True)
+    other.write_text("#!/bin/sh\n")
+    assert install(tmp_path) == 0
+    assert "is another program and stays" in capsys.readouterr().out
+    assert other.read_text() == "#!/bin/sh\n"
+
+
+def test_a_bad_configuration_is_not_started(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    config = tmp_path / CONFIGURATION
+    config.parent.mkdir(parents=True)
+    config.write_text("[imu]\nspi_port = 1\n")
+    assert install(tmp_path, "--start") == 2
+    assert "spi_port is unknown" in capsys.readouterr().err
+    config.write_text("")
+    assert install(tmp_path, "--start") == 0
+
+
+@pytest.mark.parametrize("command", ["install-service", "remove-service"])
+def test_what_cannot_be_written_is_one_sentence(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert install(tmp_path) == 0
+    (tmp_path / FILES["ramstroke.service"]).write_text("old")
+
+    def refuse(*_: object, **__: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "write_text", refuse)
+    monkeypatch.setattr(Path, "unlink", refuse)
+    capsys.readouterr()
+    assert main([command, "--root", str(tmp_path)]) == 1
+    said = capsys.readouterr().err
+    assert "run it as root, with sudo" in said
+    assert said.count("\n") == 1
+
+
+def test_a_command_that_fails_or_is_missing_is_one_sentence() -> None:
+    host = installer.Host(Path("/"), print)
+    with pytest.raises(CommandError, match="is missing: install-service is for a Linux with systemd"):
+        host.run("no-such-command-here")
+    with pytest.raises(CommandError, match="`ls /no/such/folder` failed: ls: cannot access"):
+        host.run("ls", "/no/such/folder")
+
+
+@pytest.mark.parametrize("name", ["ramstroke.service", "ramstroke-sim.service"])
+def test_the_sandbox_is_as_tight_as_promised(name: str, tmp_path: Path) -> None:
+    """1.5 at most of systemd's own measure, where systemd is there to ask."""
+    analyze = shutil.which("systemd-analyze")
+    if analyze is None:
+        pytest.skip("no systemd-analyze on this computer; the machine of `make acceptance` has it")
+    unit = tmp_path / name
+    unit.write_text(shipped(name))
+    done = subprocess.run([analyze, "security", "--offline=yes", "--threshold=15", str(unit)], capture_output=True)
+    assert done.returncode == 0, done.stdout.decode()[-300:]
+
+
+def test_the_wheel_carries_the_units() -> None:
+    text = (Path(__file__).parents[2] / "pyproject.toml").read_text()
+    assert '"systemd" = "daemon/systemd"' in text
+    for name in (*FILES, "ramstroke-realtime.conf"):
+        assert shipped(name)
