@@ -114,8 +114,8 @@ def prefer_this_thread(priority: int) -> None:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     except OSError as error:
         _log.warning(
-            "realtime_priority = %d is refused (%s): allow it with LimitRTPRIO=%d in the service unit, or with the "
-            "capability CAP_SYS_NICE; the sensor is read without it",
+            "realtime_priority = %d is refused (%s): allow it with LimitRTPRIO=%d, for the service by `ramstroke "
+            "install-service --realtime`, or with the capability CAP_SYS_NICE; the sensor is read without it",
             priority,
             error.strerror or error,
             priority,
