@@ -79,6 +79,7 @@ class Stream:
         )
         self.samples = 0  # good inertial samples
         self.bad_bursts = 0  # and impossible or frozen samples
+        self.foreign_samples = 0  # of a sensor that the settings do not estimate from
         self.identity: AnyIdentity | None = None  # of the inertial sensor
         self.last_sample_ns: int | None = None
         self.last: Estimate | None = None  # provisional
@@ -89,6 +90,8 @@ class Stream:
         if isinstance(record, Burst | Reading | ImuSample):
             if self._imu.is_mine(record):
                 self._take_sample(self._imu.sample(record))
+            else:
+                self.foreign_samples += 1
         elif isinstance(record, Identity | Jy901Identity):
             if self._imu.is_mine(record):
                 self._meet(record)

@@ -14,6 +14,7 @@ GAP_S = 0.05  # longer than any jitter, shorter than any burst
 PERIOD_MEMORY = 2000  # samples
 SHORTER_IN_ROW, LONGER_IN_ROW = 4, 40  # samples so far apart prove a wrong idea of the period
 GAP_PERIODS = 4.0  # of the source itself, if that is slow
+LEAST_PERIOD_S = 1e-4  # no inertial sensor is that fast: samples that touch are no time of their own
 
 
 @dataclass(slots=True)
@@ -31,14 +32,14 @@ class BlockCutter:
     periods: int = 0
     shorter_in_row: int = 0
     longer_in_row: int = 0
-    backward: int = 0  # samples dropped because their time was not later than the last one's
+    backward: int = 0  # samples dropped because their time was not later than the last one's, or next to nothing
 
     def add(self, sample: ImuSample, mount: Mount) -> tuple[float, Step | None]:
         """Take one sample; returns the gap before it [s] (0 = none) and the step that it completes."""
         gap_s = 0.0
         if self.last_ns is not None:
             dt_s = (sample.t_ns - self.last_ns) * 1e-9
-            if dt_s <= 0.0:
+            if dt_s < LEAST_PERIOD_S:
                 self.backward += 1
                 return 0.0, None
             # The very first interval is all that is known of the period.

@@ -11,7 +11,6 @@ from daemon.commands import align_benchmark, align_tables, choices
 
 if TYPE_CHECKING:
     from daemon.imu.roles import Role
-    from daemon.offline.alignment import Alignment
     from daemon.offline.rest import Rest
     from daemon.settings import Settings
     from estimation.alignment.earth import Place
@@ -76,7 +75,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Align, or show what alignment can do."""
+    from daemon import terminal
+    from daemon.errors import UsageError
+    from daemon.offline.aligned_configuration import save
     from daemon.offline.alignment import METHODS, align
+    from daemon.offline.alignment_course_plot import draw_course
     from daemon.offline.grades import load_grades
 
     grades = load_grades(arguments.grades)
@@ -90,6 +93,8 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.benchmark:
         return align_benchmark.run(arguments)
     place = _place(arguments)
+    if arguments.method in align_benchmark.methods() and arguments.method not in METHODS:
+        raise UsageError(f"--method {arguments.method} is one of --benchmark: for a recording see --method list")
     method = choices.known("--method", arguments.method or "ours", METHODS)
     if arguments.grade is not None:
         choices.known("--grade", arguments.grade, grades)
@@ -98,16 +103,21 @@ def run(arguments: argparse.Namespace) -> int:
     names = {"main": arguments.grade or _default_grade(settings), "beside": arguments.beside_grade}
     heading_deg = settings.mount.heading_deg if arguments.heading is None else arguments.heading
     found = {role: align(rest, grades[names[role]], place, heading_deg, method) for role, rest in rests.items()}
+    picture = None
     if arguments.plot is not None:
-        _draw(arguments.plot, path, settings, found)
-    if arguments.save is not None:
-        _save(arguments.save, path, settings, found, heading_deg)
+        choices.picture_folder("--plot", arguments.plot)
+        picture = draw_course(found, align_tables.names_of(settings), path.name, arguments.plot)
     if arguments.json:
-        align_tables.print_json(path, names, place, method, found)
+        align_tables.print_json(path, names, place, method, found, picture)
     else:
         align_tables.print_all(settings, names, found, heading_deg)
-        if arguments.save is not None:
-            align_tables.say_saved(arguments.save)
+        if picture is not None:
+            terminal.say(f"Picture: {picture}")
+    if arguments.save is not None:
+        was_there = arguments.save.exists()
+        save(arguments.save, path, settings, found, heading_deg)
+        if not arguments.json:
+            align_tables.say_saved(arguments.save, was_there=was_there)
     return 0
 
 
@@ -162,20 +172,3 @@ def _rests(arguments: argparse.Namespace) -> tuple[Path, Settings, dict[Role, Re
 
 def _default_grade(settings: Settings) -> str:
     return "jy901" if settings.jy901.use == "instead" else "adis16448_in_run"
-
-
-def _draw(folder: Path, path: Path, settings: Settings, found: dict[Role, Alignment]) -> None:
-    from daemon import terminal
-    from daemon.offline.alignment_course_plot import draw_course
-
-    choices.picture_folder("--plot", folder)
-    terminal.say(f"Picture: {draw_course(found, align_tables.names_of(settings), path.name, folder)}")
-
-
-def _save(
-    config: Path, path: Path, settings: Settings, found: dict[Role, Alignment], heading_deg: float | None
-) -> None:
-    """Raises CommandError where the level may not be claimed."""
-    from daemon.offline.aligned_configuration import save
-
-    save(config, path, settings, found, heading_deg)

@@ -43,18 +43,18 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError("--runs must be at least 2")
     if arguments.seed < 0:
         raise UsageError("--seed must not be negative")
-    methods = tuple(METHODS)
+    chosen = tuple(METHODS)
     if arguments.method is not None:
-        methods = (choices.known("--method", arguments.method, METHODS),)
+        chosen = (choices.known("--method", arguments.method, METHODS),)
     if arguments.plot is not None:
         choices.picture_folder("--plot", arguments.plot)
     with terminal.progress("settings", 9) as progress:
         rows = benchmark(arguments.runs, arguments.seed, progress)
     records = records_of(SIMULATION, max(2, arguments.runs // TUNED_SHARE), arguments.seed)
     with terminal.progress("generations of the tuners", GENERATIONS) as progress:
-        tuned = tune_all(records, methods, arguments.seed, progress)
+        tuned = tune_all(records, chosen, arguments.seed, progress)
     experiment = experiment_rows(arguments.runs, arguments.seed)
-    drawn = [] if arguments.plot is None else _draw(tuned, methods, arguments.seed, arguments.plot)
+    drawn = [] if arguments.plot is None else _draw(tuned, chosen, arguments.seed, arguments.plot)
     if arguments.json:
         told = {"rows": rows, "printed": PRINTED, "tuned": simulation_rows(tuned), "experiment": experiment}
         terminal.print_json(told)
@@ -68,14 +68,20 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def methods() -> dict[str, str]:
+    """Those of the benchmark, and what they do."""
+    from daemon.offline.alignment_tuning import METHODS
+
+    return METHODS
+
+
 def print_methods() -> None:
     """Those of the benchmark."""
     from daemon import terminal
-    from daemon.offline.alignment_tuning import METHODS
 
     made = terminal.table("Methods of --benchmark", "process noise by", "what")
     made.columns[1].justify = "left"
-    for name, about in METHODS.items():
+    for name, about in methods().items():
         made.add_row(name, about)
     terminal.OUT.print(made)
 

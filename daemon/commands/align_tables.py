@@ -41,7 +41,12 @@ def print_methods(methods: Mapping[str, str]) -> None:
 
 
 def print_json(
-    path: Path, grades: Mapping[str, str], place: Place, method: str, found: Mapping[Role, Alignment]
+    path: Path,
+    grades: Mapping[str, str],
+    place: Place,
+    method: str,
+    found: Mapping[Role, Alignment],
+    picture: Path | None,
 ) -> None:
     """One object: the sensor's alignment, and with one beside it that one's and the comparison."""
     from daemon import terminal
@@ -50,6 +55,7 @@ def print_json(
         "file": str(path),
         "gravity_m_s2": place.gravity_m_s2,
         "method": method,
+        "picture": None if picture is None else str(picture),
         **_row(found["main"], grades["main"]),
         "beside": None,
         "comparison": None,
@@ -75,6 +81,8 @@ def print_all(
             terminal.say("For an ADIS16448 whose turn-on biases have not been taken out: --grade adis16448_turn_on.")
     if "beside" in found:
         _print_comparison(_comparison(found))
+        if Verdict.DOUBTFUL in [angle.verdict for one in found.values() for angle in one.angles]:
+            terminal.say("One of them is doubtful as it is: a sigma of the difference means little.")
     elif settings.jy901.use == "beside":
         terminal.say("The JY901 beside it brings too few samples in this rest.")
     if found["main"].angles[2].verdict.startswith("refused") and heading_deg is None:
@@ -86,11 +94,12 @@ def names_of(settings: Settings) -> dict[Role, str]:
     return {"main": "JY901" if settings.jy901.use == "instead" else "ADIS16448", "beside": "JY901 beside"}
 
 
-def say_saved(path: Path) -> None:
+def say_saved(path: Path, *, was_there: bool) -> None:
     """Where it went."""
     from daemon import terminal
 
-    terminal.say(f"saved in {path}: `ramstroke run --config {path}` takes the tilt off")
+    made = "" if was_there else ", a new file with the settings of the recording: look through it"
+    terminal.say(f"saved in {path}{made}; `ramstroke run --config {path}` takes the tilt off")
 
 
 def _row(found: Alignment, grade: str) -> dict[str, Any]:
@@ -124,7 +133,8 @@ def _comparison(found: Mapping[Role, Alignment]) -> list[dict[str, Any]]:
         if main.name == "heading":
             off = (off + 180) % 360 - 180
             if Verdict.NOT_OBSERVED in (main.verdict, beside.verdict):
-                off = sigma = nan
+                off = nan
+        sigma = nan if isnan(off) else sigma
         rows.append({"angle": main.name, "difference_deg": off, "sigma_deg": sigma})
     return rows
 
@@ -143,13 +153,13 @@ def _print_one(found: Alignment, name: str) -> None:
         "verdict",
     )
     for angle in found.angles:
-        limit_deg = degrees(angle.limit)
+        limit_deg, unknown = degrees(angle.limit), isnan(angle.sigma) or isnan(angle.value)
         made.add_row(
             angle.name,
             "–" if isnan(angle.value) else f"{degrees(angle.value):.4f}",
-            "–" if isnan(angle.sigma) else f"{degrees(angle.sigma):.4f}",
+            "–" if unknown else f"{degrees(angle.sigma):.4f}",
             f"{limit_deg:.4f}" if limit_deg < NO_LIMIT_DEG else "none",
-            "–" if isnan(angle.sigma) else f"{angle.sigma / angle.prior_sigma:.2f}",
+            "–" if unknown else f"{angle.sigma / angle.prior_sigma:.2f}",
             angle.verdict,
         )
     terminal.OUT.print(made)

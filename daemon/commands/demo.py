@@ -18,6 +18,9 @@ HELP = (
 EXAMPLE = "ramstroke demo --seed 7 --out /tmp/demo"
 
 
+SENSORS = {"adis16448": "ADIS16448", "jy901": "JY901", "both": "ADIS16448 with a JY901 beside"}
+
+
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.add_argument("--seed", type=int, default=1, help="which virtual support (default 1)")
@@ -26,6 +29,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         choices=("adis16448", "jy901", "both"),
         default="adis16448",
         help="inertial sensor: ADIS16448 (default), JY901, or the first with the second recorded beside it",
+    )
+    parser.add_argument(
+        "--rest", type=float, default=10.0, metavar="S", help="of rest before the push, for `align` and --allan [s]"
     )
     parser.add_argument("--out", type=Path, default=Path("demo"), help="folder for the results (default demo)")
     parser.add_argument("--faults", type=Path, help="fault script, such as config/faults/wet_cable.toml")
@@ -43,6 +49,8 @@ def run(arguments: argparse.Namespace) -> int:
 
     if arguments.seed < 0:
         raise UsageError("--seed must not be negative")
+    if not 5.0 <= arguments.rest <= 3600.0:
+        raise UsageError("--rest must lie between 5 and 3600 s")
     faults = None if arguments.faults is None else load_faults(arguments.faults)
     try:
         arguments.out.mkdir(parents=True, exist_ok=True)
@@ -55,8 +63,9 @@ def run(arguments: argparse.Namespace) -> int:
     if faults is not None:
         refuse_unplayable(faults, settings.jy901.use)
     with terminal.progress("virtual cycle", 1.0) as progress:
-        result = run_demo(settings, recording, progress, faults)
-    plot_demo(picture, virtual_support(settings, cycles=1).truth(), result.settled, result.observed)
+        result = run_demo(settings, recording, progress, faults, arguments.rest)
+    truth = virtual_support(settings, cycles=1, rest_s=arguments.rest).truth()
+    plot_demo(picture, truth, result.settled, result.observed)
 
     rows = _rows(result)
     code = 0 if len(rows) == len(result.truth) or faults is not None else 1
@@ -73,7 +82,7 @@ def run(arguments: argparse.Namespace) -> int:
             report["events"] = [{"t_s": event.t_ns * 1e-9, "what": event.what} for event in result.events]
         terminal.print_json(report)
         return code
-    _print_table(arguments.seed, rows)
+    _print_table(arguments.seed, SENSORS[arguments.imu], rows)
     if faults is not None:
         for t_s, what in _history(result, faults):
             terminal.say(f"{t_s:8.2f} s  {what}")
@@ -102,11 +111,11 @@ def _rows(result: DemoResult) -> list[dict[str, Any]]:
     return rows
 
 
-def _print_table(seed: int, rows: list[dict[str, Any]]) -> None:
+def _print_table(seed: int, sensors: str, rows: list[dict[str, Any]]) -> None:
     from daemon import terminal
 
     made = terminal.table(
-        f"Virtual support {seed}, first cycle, nothing learned before",
+        f"Virtual support {seed}, {sensors}, first cycle, nothing learned before",
         "move",
         "estimate mm",
         "± 1σ mm",
@@ -128,4 +137,7 @@ def _print_table(seed: int, rows: list[dict[str, Any]]) -> None:
 def _history(result: DemoResult, faults: FaultScript) -> list[tuple[float, str]]:
     """What went wrong by script and what the estimator said, in order of time."""
     told = [(event.t_ns * 1e-9, f"estimator: {event.what}") for event in result.events]
-    return sorted([*told, *((fault.at_s, f"script: {fault.sentence}") for fault in faults.fault)])
+    end_s = result.duration_s
+    told += [(fault.at_s, f"script: {fault.sentence}") for fault in faults.fault if fault.at_s < end_s]
+    late = sum(fault.at_s >= end_s for fault in faults.fault)
+    return sorted(told) + ([(end_s, f"the demo ends here; {late} faults of the script come later")] if late else [])

@@ -77,7 +77,7 @@ def run(arguments: argparse.Namespace) -> int:
                 "method": method,
                 "complete": reviewed.complete,
                 "version": reviewed.metadata.get("version"),
-                "sensor": reviewed.metadata.get("sensor"),
+                "sensor": reviewed.sensor,
                 "kind": reviewed.metadata.get("kind"),
                 "duration_s": result.duration_s,
                 "samples": result.samples,
@@ -104,10 +104,10 @@ def run(arguments: argparse.Namespace) -> int:
         )
         return 0
     _print(arguments.file, reviewed, mount)
-    if noise is not None:
-        _print_noise(noise)
     if arguments.plot is not None:
         terminal.say(f"Picture: {arguments.plot}")
+    if noise is not None:
+        _print_noise(noise)  # last: the grade at its end is for pasting
     return 0
 
 
@@ -144,8 +144,8 @@ def _print(path: Path, reviewed: Review, mount: MountReview | None) -> None:
     result, metadata = reviewed.replayed, reviewed.metadata
     state = "complete" if reviewed.complete else "cut short or still being written"
     say(f"{path}: {metadata.get('kind', 'recording')}, {state}, ramstroke {metadata.get('version', '?')}")
-    if metadata.get("sensor"):
-        say(f"sensor: {metadata['sensor']}")
+    if reviewed.sensor:
+        say(f"sensor: {reviewed.sensor}")
     rate = result.samples / result.duration_s if result.duration_s else 0.0
     say(f"{result.duration_s:.1f} s, {result.samples} good samples ({rate:.1f}/s), {reviewed.lost} messages lost")
     same = {True: "reproduced bit for bit", False: "NOT reproduced", None: "none"}[result.identical]

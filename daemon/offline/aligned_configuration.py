@@ -7,7 +7,8 @@ from math import degrees
 from pathlib import Path
 from typing import Any
 
-from daemon.errors import CommandError
+from daemon.configuration import load
+from daemon.errors import CommandError, UsageError
 from daemon.imu.roles import Role
 from daemon.offline import edited_configuration
 from daemon.offline.alignment import Alignment
@@ -25,19 +26,41 @@ def save(
 ) -> None:
     """Put tilts, and the heading if it is known, into the file, made from `settings` if there is none.
 
-    Raises CommandError where a level may not be claimed; UsageError, or ConfigurationError, as the file is.
+    Raises CommandError where a level may not be claimed; UsageError if the file describes another mount, or cannot be
+    written; ConfigurationError where it is none.
     """
+    if path.exists():
+        _refuse_another_mount(path, load(path), settings)
     values = {_SECTION[role]: _tilt(role, alignment) for role, alignment in found.items()}
     heading = found["main"].angles[2]
     if heading_deg is not None:
         values["mount"]["heading_deg"] = heading_deg
     elif heading.verdict is Verdict.OBSERVED:
         values["mount"]["heading_deg"] = degrees(heading.value)
-    origin = (
-        f"{MARK} {program_version()}, {datetime.now(UTC):%Y-%m-%d}: {found['main'].rest_s:.0f} s of rest, "
-        f"± {degrees(found['main'].angles[0].sigma):.3f} deg; {recording.name}"
-    )
-    edited_configuration.save(path, values, settings, MARK, origin)
+    origins = {
+        _SECTION[role]: f"{MARK} {program_version()}, {datetime.now(UTC):%Y-%m-%d}: {alignment.rest_s:.0f} s of rest, "
+        f"± {degrees(alignment.angles[0].sigma):.3f} deg; {recording.name}"
+        for role, alignment in found.items()
+    }
+    edited_configuration.save(path, values, settings, MARK, origins)
+
+
+def _refuse_another_mount(path: Path, target: Settings, made_with: Settings) -> None:
+    """A tilt belongs to a sensor and to the axes that its recording was made with."""
+    pairs: list[tuple[str, str, str]] = [("jy901.use", target.jy901.use, made_with.jy901.use)]
+    for section in ("mount", *(["jy901_mount"] if made_with.jy901.use == "beside" else [])):
+        for key in ("push", "up"):
+            pairs.append((f"{section}.{key}", getattr(getattr(target, section), key), _axis(made_with, section, key)))
+    for name, there, here in pairs:
+        if there != here:
+            raise UsageError(
+                f'--save {path}: it has {name} = "{there}", the recording was made with "{here}": the tilt would be '
+                "that of another mount"
+            )
+
+
+def _axis(settings: Settings, section: str, key: str) -> str:
+    return str(getattr(getattr(settings, section), key))
 
 
 def _tilt(role: Role, alignment: Alignment) -> dict[str, Any]:

@@ -154,6 +154,15 @@ def _coarse(
     return _made(rest, start, told, np.array([values]), sigma[None], nan)
 
 
+def _numbness(rest: Rest) -> list[str]:
+    if not rest.numb:
+        return []
+    return [
+        f"the gyroscopes read exactly zero in {rest.numb:.0%} of the rest: a dead band hides their bias "
+        "and the Earth's rate; switch it off in the part"
+    ]
+
+
 def _told(
     told: tuple[Verdict, Verdict, Verdict], start: _Start, heading_deg: float | None
 ) -> tuple[Verdict, Verdict, Verdict]:
@@ -190,7 +199,7 @@ def _made(
         (angles[0], angles[1], angles[2]),
         np.degrees(start.bias),
         start.blind,
-        start.faults.sentences,
+        [*start.faults.sentences, *_numbness(rest)],
         nis,
         course,
         sigmas,

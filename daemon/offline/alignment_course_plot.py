@@ -12,6 +12,7 @@ from daemon.offline.alignment import AXES, Alignment
 from daemon.offline.alignment_plots import SETTLED, around, figure_of, save
 from daemon.offline.plots import BLUE, ORANGE
 from daemon.offline.rest import BLOCK_S
+from estimation.alignment.verdict import Verdict
 
 _COLOURS: dict[Role, str] = {"main": BLUE, "beside": ORANGE}
 
@@ -29,13 +30,18 @@ def draw_course(found: Mapping[Role, Alignment], names: Mapping[Role, str], file
             # A filter that does without the first part of the rest ends with it all the same.
             t_s = alignment.rest_s - BLOCK_S * np.arange(len(angle) - 1, -1, -1)
             settled = slice(min(SETTLED, len(angle) - 1), None)
+            if alignment.angles[i].verdict is Verdict.REFUSED:
+                continue
             shown += [angle[settled] - 1.2 * sigma[settled], angle[settled] + 1.2 * sigma[settled]]
-            one.plot(t_s, angle, color=colour, label=label, linewidth=1.5, marker="o" if len(angle) == 1 else None)
+            if len(angle) == 1:  # a coarse alignment is one answer for the whole rest
+                one.errorbar(t_s, angle, sigma, color=colour, label=f"{label} ± 1σ", fmt="o", capsize=4)
+                continue
+            one.plot(t_s, angle, color=colour, label=label, linewidth=1.5)
             one.fill_between(
                 t_s, angle - sigma, angle + sigma, color=colour, alpha=0.15, linewidth=0, label=f"{label}: ± 1σ"
             )
-        limits = np.concatenate(shown)
-        if np.isfinite(limits).all():
+        limits = np.concatenate(shown) if shown else np.empty(0)
+        if len(limits) and np.isfinite(limits).all():
             one.set_ylim(*around(limits))
         one.set_ylabel(f"{axis} [deg]")
         told = "; ".join(f"{names[role]}: {alignment.angles[i].verdict}" for role, alignment in found.items())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +18,11 @@ from daemon.errors import UsageError
 from daemon.settings import Settings
 
 
-def save(path: Path, values: dict[str, dict[str, Any]], settings: Settings, mark: str, origin: str) -> None:
+def save(path: Path, values: dict[str, dict[str, Any]], settings: Settings, mark: str, origins: dict[str, str]) -> None:
     """Put the values (section -> key -> value) into the file, made from `settings` if there is none.
 
-    `origin`, which begins with `mark`, stands as a comment behind the first of each section and takes the place of an
-    earlier one. Written beside the file and moved into place once it has been read back as a good configuration.
+    `origins` (section -> text that begins with `mark`) stand as comments behind the first key of each section, in place
+    of earlier ones. Written beside the file and moved into place once it has been read back as a good configuration.
     Raises UsageError, or ConfigurationError where the file as it stands is none.
     """
     path = path.resolve()  # a link stays one
@@ -34,10 +35,12 @@ def save(path: Path, values: dict[str, dict[str, Any]], settings: Settings, mark
     draft = path.with_name(path.name + ".new")
     try:
         for section, keys in values.items():
-            _put(document, section, keys, mark, origin)
+            _put(document, section, keys, mark, origins[section])
         with draft.open("w", encoding="utf-8", newline="") as file:
             file.write(tomlkit.dumps(document))
         load(draft)
+        if path.exists():
+            _take_after(path, draft)
         os.replace(draft, path)
     except (TOMLKitError, ConfigurationError) as error:
         raise UsageError(f"--save {path}: its form is beyond what can be edited here; name a new file") from error
@@ -45,6 +48,14 @@ def save(path: Path, values: dict[str, dict[str, Any]], settings: Settings, mark
         raise UsageError(f"--save {path}: {error.strerror}; name a file in a folder that can be written") from error
     finally:
         draft.unlink(missing_ok=True)
+
+
+def _take_after(path: Path, draft: Path) -> None:
+    """Mode and owner stay; a user who may not give files away keeps his own."""
+    status = path.stat()
+    draft.chmod(status.st_mode & 0o7777)
+    with suppress(PermissionError):
+        os.chown(draft, status.st_uid, status.st_gid)
 
 
 def _put(document: Any, section: str, keys: dict[str, Any], mark: str, origin: str) -> None:

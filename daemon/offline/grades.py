@@ -14,8 +14,12 @@ SHOWN = 4  # faults of a file
 
 
 def load_grades(path: Path | None = None) -> dict[str, SensorGrade]:
-    """All grades of the file, or of the program's own. Raises ConfigurationError."""
-    path = Path(str(files("config") / "sensor_grades.toml")) if path is None else path
+    """The program's own grades, and those of the file, which take precedence. Raises ConfigurationError."""
+    own = Path(str(files("config") / "sensor_grades.toml"))
+    return _read(own) if path is None else _read(own) | _read(path)
+
+
+def _read(path: Path) -> dict[str, SensorGrade]:
     _, tree = read_toml(path, "file of sensor grades")
     grades, faults = {}, []
     for name, values in tree.items():

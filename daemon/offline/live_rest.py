@@ -31,4 +31,4 @@ def live_rests(socket: Path, seconds: float, progress: Callable[[float], None]) 
         time.sleep(_SLICE_S)
     if first_line(socket)["recorder"]["file"] != name:
         raise CommandError("the daemon has begun another recording meanwhile: try again")
-    return Path(name), rests_since(Path(name), from_ns)
+    return Path(name), rests_since(Path(name), from_ns, seconds)

@@ -145,6 +145,11 @@ def replay(
         first_ns = last_ns if first_ns is None else first_ns
         if progress is not None and count % 5000 == 0:
             progress(count)
+    if stream.foreign_samples and not stream.samples + stream.bad_bursts:
+        wanted = "a JY901" if stream.settings.jy901.use == "instead" else "an ADIS16448"
+        raise RecordingError(
+            f"{path}: the settings estimate from {wanted}, and it holds another sensor's samples: see use in [jy901]"
+        )
     stream.finish()
     if smoother is not None:
         smoother.finish()

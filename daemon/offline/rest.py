@@ -48,6 +48,11 @@ class Rest:
         return len(self.force) * BLOCK_S
 
     @property
+    def numb(self) -> float:
+        """Share of the blocks in which the gyroscopes read exactly zero: no noise does that, a dead band does."""
+        return float((self.rate == 0.0).all(axis=1).mean())
+
+    @property
     def shocks(self) -> int:
         """Blocks that are left out."""
         return int((~self.quiet).sum())
@@ -74,20 +79,18 @@ def rests_at_beginning(
     return _rests(path, samples, first_ns, min(end_s, duration_s))
 
 
-def rests_since(path: Path, from_ns: int, progress: Callable[[int], None] | None = None) -> dict[Role, Rest]:
+def rests_since(path: Path, from_ns: int, duration_s: float) -> dict[Role, Rest]:
     """The rest since `from_ns` of a recording that is still being written. Raises RecordingError, as above."""
     recording = Recording(path)
     samples = _samples(settings_of(recording))
-    for count, (_, record) in enumerate(recording.messages((*_INERTIAL, topics.PROVISIONAL)), 1):
-        if progress is not None and count % 5000 == 0:
-            progress(count)
+    for _, record in recording.messages((*_INERTIAL, topics.PROVISIONAL)):
         if isinstance(record, Estimate):
             if record.t_ns >= from_ns and record.segment is not Segment.ZUPT:
                 raise RecordingError(f"{path}: the ram moved meanwhile: align while it rests")
         elif isinstance(record, Burst | Reading | ImuSample) and record.t_ns >= from_ns:
             for one in samples.values():
                 one.take(record)
-    return _rests(path, samples, samples["main"].first_ns(path), inf)
+    return _rests(path, samples, samples["main"].first_ns(path), duration_s)
 
 
 @dataclass

@@ -22,6 +22,8 @@ from daemon.recording.reader import Recording
 from daemon.recording.topics import TOPICS, Health, Recorded, RecordedDisplacement
 from daemon.stream import Sink
 from drivers.adis16448.burst import Burst, Fault
+from drivers.adis16448.identity import Identity
+from drivers.jy901.identity import Jy901Identity
 from drivers.jy901.reading import Reading
 from estimation.methods.registry import OURS
 from estimation.records import CanState, Estimate, Event, ImuSample, Segment
@@ -54,8 +56,14 @@ class Review:
     can_states: Counter[CanState] = field(default_factory=Counter)
     events: list[Event] = field(default_factory=list)
     last_health: dict[str, Any] | None = None
+    identity: str = ""  # of the first part that spoke
     reference: ReferenceComparison = field(default_factory=ReferenceComparison)
     smoothed_moves: SmoothedMoves = field(default_factory=SmoothedMoves)
+
+    @property
+    def sensor(self) -> str:
+        """The inertial sensor, as the head of the file names it, or as it named itself later."""
+        return self.metadata.get("sensor") or self.identity
 
 
 GAPS_SHOWN = 20
@@ -121,6 +129,8 @@ def review(
             reviewed.faults[record.fault.name.lower()] += 1
         elif isinstance(record, Reading) and record.is_frozen:
             reviewed.faults["frozen"] += 1
+        elif isinstance(record, Identity | Jy901Identity) and decoder.is_mine(record):
+            reviewed.identity = reviewed.identity or record.name
         elif isinstance(record, Health):
             reviewed.last_health = _parsed(record.json)
         if isinstance(record, Burst | Reading | ImuSample) and decoder.is_mine(record):

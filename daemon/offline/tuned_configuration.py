@@ -23,7 +23,7 @@ def save(
 
     Raises UsageError, or ConfigurationError where the file as it stands is none.
     """
-    edited_configuration.save(path, values, settings, MARK, _origin(files, row))
+    edited_configuration.save(path, values, settings, MARK, dict.fromkeys(values, _origin(files, row)))
 
 
 def _origin(files: Sequence[Path], row: dict[str, Any]) -> str:

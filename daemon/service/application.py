@@ -133,6 +133,7 @@ class Application:
             await self._stopping.wait()
         finally:
             self._notifier.stopping()
+            self._health_book.is_ending = True
             self._loop_watch.forget_collector()
             await self._shut_down(tasks)
             logging.getLogger().removeHandler(relay)

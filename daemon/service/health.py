@@ -40,6 +40,7 @@ class HealthBook:
     """Remembers since when each part is as it is, and logs the changes, not too often."""
 
     entries: dict[str, _Entry] = field(default_factory=dict)
+    is_ending: bool = False  # parts that are closed on purpose are no news
 
     def note(self, part: str, condition: Condition, now_s: float) -> dict[str, Any]:
         """Take in how a part is now; returns the row for the health record."""
@@ -49,7 +50,8 @@ class HealthBook:
         elif kind_of(entry.condition) != kind_of(condition):
             entry.since_s, entry.untold = now_s, entry.untold + 1
         entry.condition = condition
-        self._tell(part, entry, now_s)
+        if not self.is_ending:
+            self._tell(part, entry, now_s)
         return {
             "state": str(condition.word),
             "since_s": round(entry.since_s, 3),

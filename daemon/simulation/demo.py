@@ -27,6 +27,7 @@ class DemoResult:
 
     moves: list[Move] = field(default_factory=list)
     truth: tuple[TrueMove, ...] = ()
+    duration_s: float = 0.0
     settled: list[Estimate] = field(default_factory=list)
     observed: list[Displacement] = field(default_factory=list)
     reference: list[Displacement] = field(default_factory=list)
@@ -64,17 +65,21 @@ def demo_settings(seed: int, imu: ImuChoice = "adis16448") -> Settings:
 
 
 def run_demo(
-    settings: Settings, recording: Path, progress: Callable[[float], None], faults: FaultScript | None = None
+    settings: Settings,
+    recording: Path,
+    progress: Callable[[float], None],
+    faults: FaultScript | None = None,
+    rest_s: float = 10.0,
 ) -> DemoResult:
-    """Play one cycle into `recording`; `progress` hears the share done.
+    """Play one cycle into `recording`, `rest_s` of rest before it; `progress` hears the share done.
 
     Raises:
         RecordingError: the recording cannot be written.
     """
     clock = VirtualClock()
-    support = virtual_support(settings, cycles=1)
-    result = DemoResult(truth=support.true_moves())
+    support = virtual_support(settings, cycles=1, rest_s=rest_s)
     duration_ns = support.truth().t_s[-1] * 1e9
+    result = DemoResult(truth=support.true_moves(), duration_s=duration_ns * 1e-9)
     sensor = "JY901" if settings.jy901.use == "instead" else "ADIS16448"
     metadata = describe("recording", settings.model_dump_json(), sensor=f"virtual {sensor}")
     # The stream must exist before the file (its snapshot stands at the head) and writes into it.

@@ -25,6 +25,7 @@ from drivers.virtual.faulty_part import PartSchedule
 from drivers.virtual.faulty_values import faulty_observations
 from drivers.virtual.jy901 import VirtualJy901
 from drivers.virtual.jy901_line import VirtualLine
+from drivers.virtual.motion import full_cycle
 from drivers.virtual.part import VirtualPart
 from drivers.virtual.scenarios import SCENARIOS
 from drivers.virtual.support import VirtualSupport
@@ -34,14 +35,17 @@ from estimation.settings import AxesSettings
 _log = logging.getLogger(__name__)
 
 
-def virtual_support(settings: Settings, *, start_ns: int = 0, cycles: int | None = None) -> VirtualSupport:
-    """The support that the configuration describes, its sensor mounted as [mount] says."""
+def virtual_support(
+    settings: Settings, *, start_ns: int = 0, cycles: int | None = None, rest_s: float = 10.0
+) -> VirtualSupport:
+    """The support that the configuration describes, its sensor mounted as [mount] says; `rest_s` before each cycle."""
     chosen = settings.simulation
     return VirtualSupport(
         chosen.seed,
         SCENARIOS[chosen.scenario],
         start_ns=start_ns,
         cycles=cycles,
+        script=full_cycle(rest_s=rest_s),
         sensor_axes=_sensor_axes(settings.mount),
     )
 

@@ -20,7 +20,7 @@ from drivers.quiet_log import QuietLog
 
 RETRY_S = 0.5
 SILENT_S = 0.5  # without a sample: it is said
-GARBLED_S = 0.3  # of bytes that make no sample: the part was without supply and speaks at another baud rate
+GARBLED_S, GARBLED_BYTES = 0.3, 44  # that make no sample: the part was without supply, speaks at another baud rate
 LOST_S = 5.0  # without a byte: it is looked for anew, at every baud rate
 SLOW_NS = 10_000_000_000  # a part that sends far too few samples has lost its settings; it is set up again that often
 _SLICE_S = 0.05
@@ -72,6 +72,7 @@ class Jy901:
         self._not_before_ns = clock.now_ns()
         self._heard_ns = 0  # last sample
         self._garbled_ns: int | None = None  # first bytes after it
+        self._garbled = 0  # bytes after it
         self._slow_ns = 0
         self._quality = QualityWatch(self.counters, settings.rate_hz)
         self._is_frozen = False
@@ -146,7 +147,7 @@ class Jy901:
         self._heard_ns = now_ns
         self._quality.begin()
         self._is_frozen = False
-        self._garbled_ns = None
+        self._garbled_ns, self._garbled = None, 0
         if known is None:
             self._quiet.say(logging.INFO, f"{self.identity.name} is running at {found.baud} baud")
         elif known.is_same_part(self.identity):
@@ -171,17 +172,19 @@ class Jy901:
         if readings:
             if now_ns - self._heard_ns > SILENT_S * 1e9:
                 self._quality.begin()
-            self._heard_ns, self._garbled_ns = now_ns, None
+            self._heard_ns, self._garbled_ns, self._garbled = now_ns, None, 0
             if self._quality.is_due(now_ns):
                 self._judge(now_ns)
         else:
-            self._bear_silence(now_ns, has_bytes=bool(data))
+            self._bear_silence(now_ns, len(data))
 
-    def _bear_silence(self, now_ns: int, *, has_bytes: bool) -> None:
+    def _bear_silence(self, now_ns: int, count: int) -> None:
         """A cable that is plugged in again goes on as before; a part that was without supply must be found anew."""
-        if has_bytes and self._garbled_ns is None:
+        self._garbled += count
+        if count and self._garbled_ns is None:
             self._garbled_ns = now_ns
-        if self._garbled_ns is not None and now_ns - self._garbled_ns > GARBLED_S * 1e9:
+        is_late = self._garbled_ns is not None and now_ns - self._garbled_ns > GARBLED_S * 1e9
+        if is_late and self._garbled >= GARBLED_BYTES:  # more than half a sample before a cable was pulled
             self._start_anew(_GARBLED)
         elif now_ns - self._heard_ns > LOST_S * 1e9:
             self._start_anew(_SILENT)

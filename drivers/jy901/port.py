@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import termios
 from typing import Protocol
@@ -91,4 +92,8 @@ class PySerialPort:
 
 def _reason(error: BaseException) -> str:
     number = getattr(error, "errno", None)  # pyserial's errors have it, but no words of their own
+    if number == errno.ENOTTY or (isinstance(error, termios.error) and error.args[:1] == (errno.ENOTTY,)):
+        return "it is no serial port"
+    if "readiness to read" in str(error):
+        return "it was pulled out, or another program reads it too"
     return os.strerror(number) if isinstance(number, int) else str(error)

@@ -99,18 +99,28 @@ def find(port: SerialPort, likely: int, clock: Clock) -> Generator[None, None, i
     """The baud rate at which packets come. Raises Jy901Error if there are none at any; PortError."""
     noise = False
     for baud in dict.fromkeys((likely, *SCANNED)):
-        port.baudrate = baud
-        port.write(read_registers(CONTENT))
-        parser, until_ns = Parser(), _after(clock, LISTEN_S)
-        while clock.now_ns() < until_ns:
-            if parser.feed(port.read()):
-                return baud
-            yield
-        noise |= parser.fed > 0
+        fed = yield from _listen(port, baud, clock)
+        if fed is None:
+            return baud
+        if fed and not noise and baud != likely and (yield from _listen(port, likely, clock)) is None:
+            return likely  # a cable was plugged in again meanwhile
+        noise |= fed > 0
     what = "bytes come, but no packet at any baud rate" if noise else "nothing comes on the serial line"
     raise Jy901Error(
         f"no JY901 answers: {what}", "check its supply, its ground, and that its TX goes to the computer's RX"
     )
+
+
+def _listen(port: SerialPort, baud: int, clock: Clock) -> Generator[None, None, int | None]:
+    """None if packets come at that baud rate, else how many bytes do."""
+    port.baudrate = baud
+    port.write(read_registers(CONTENT))
+    parser, until_ns = Parser(), _after(clock, LISTEN_S)
+    while clock.now_ns() < until_ns:
+        if parser.feed(port.read()):
+            return None
+        yield
+    return parser.fed
 
 
 def bandwidth_hz(settings: Jy901Settings) -> int:

@@ -23,7 +23,9 @@ class Jy901Settings(BaseModel):
     )
     transport: Literal["serial", "virtual"] = Field("serial", description="a serial port, or the virtual part")
     port: str = Field(
-        "/dev/ttyUSB0", description="serial port; `ramstroke sim` puts the virtual one's pseudo-terminal there"
+        "/dev/ttyUSB0",
+        min_length=1,
+        description="serial port; `ramstroke sim` puts the virtual one's pseudo-terminal there",
     )
     baud: Literal[9600, 19200, 38400, 57600, 115200, 230400, 460800, 921600] = Field(
         115200, description="baud rate to use [Bd]; at the start the part is found at any other, too"

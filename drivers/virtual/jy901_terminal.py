@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
 import pty
 import select
-import stat
 import termios
 import threading
 import tty
 from pathlib import Path
+from typing import TextIO
 
 from drivers.clock import Clock
 from drivers.jy901.packets import BAUD_CODES
@@ -34,12 +35,20 @@ class SerialTerminal:
         self._line = line
         self._clock = clock
         self._ends: tuple[int, int] | None = None
+        self._lock: TextIO | None = None  # one server for one name
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._serve, name="serial terminal", daemon=True)
 
     def start(self) -> None:
         """Make the terminal and serve it."""
-        self._path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            self._lock = open(f"{self._path}.lock", "w")  # noqa: SIM115  held until `close`
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise PortError(f"another `ramstroke sim` serves {self._path}: end it, or name another port") from error
+        except OSError as error:
+            raise PortError(f"cannot make the serial port {self._path}: {error.strerror}") from error
         self._plug_in()
         self._thread.start()
 
@@ -49,6 +58,9 @@ class SerialTerminal:
         if self._thread.is_alive():
             self._thread.join()
         self._pull_out()
+        if self._lock is not None:
+            self._lock.close()
+            Path(self._lock.name).unlink(missing_ok=True)
 
     def _serve(self) -> None:
         while not self._stopping.is_set():
@@ -81,8 +93,8 @@ class SerialTerminal:
         return _SPEEDS.get(termios.tcgetattr(master)[_OUTPUT_SPEED], 0)
 
     def _plug_in(self) -> None:
-        if os.path.lexists(self._path) and not stat.S_ISLNK(os.lstat(self._path).st_mode):
-            raise PortError(f"{self._path} is there already and no link: name another port in [jy901]")
+        if os.path.lexists(self._path) and not self._is_ours():
+            raise PortError(f"{self._path} is there already and none of ours: name another port in [jy901]")
         master, slave = pty.openpty()
         tty.setraw(slave)
         os.set_blocking(master, False)
@@ -93,6 +105,10 @@ class SerialTerminal:
         except OSError as error:
             self._pull_out()
             raise PortError(f"cannot make the serial port {self._path}: {error.strerror}") from error
+
+    def _is_ours(self) -> bool:
+        """Whether the name is a link to a pseudo-terminal, left by one that was killed."""
+        return self._path.is_symlink() and os.readlink(self._path).startswith("/dev/pts/")
 
     def _pull_out(self) -> None:
         ends, self._ends = self._ends, None

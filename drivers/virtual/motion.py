@@ -77,9 +77,11 @@ class PlannedMove:
     hard_stop: bool = True
 
 
-def full_cycle(stroke_m: float = 0.5, push_m_s: float = 0.01453, retract_m_s: float = 0.03519) -> Script:
-    """Rest 10 s, full push, rest 20 s, full retract."""
-    return (PlannedMove(10.0, stroke_m, push_m_s), PlannedMove(20.0, 0.0, retract_m_s))
+def full_cycle(
+    stroke_m: float = 0.5, push_m_s: float = 0.01453, retract_m_s: float = 0.03519, rest_s: float = 10.0
+) -> Script:
+    """Rest (10 s), full push, rest 20 s, full retract."""
+    return (PlannedMove(rest_s, stroke_m, push_m_s), PlannedMove(20.0, 0.0, retract_m_s))
 
 
 Script = tuple[PlannedMove, ...]

@@ -151,7 +151,7 @@ def test_methods_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
         (["--benchmark", "--method", "gfoo"], "did you mean gfoa?"),
         (["--benchmark", "--method", "zebra"], "--method list shows"),
         (["--benchmark", "--plot", Path(__file__) / "pictures"], "name a folder that can be written"),
-        (["recording.mcap", "--latitude", "40", "--method", "foa"], "--method list shows"),
+        (["recording.mcap", "--latitude", "40", "--method", "foa"], "--method foa is one of --benchmark"),
         (["--benchmark", "--save", "c.toml"], "--save does not go with it"),
         (["--benchmark", "--live"], "--live does not go with it"),
         (["--benchmark", "--seed", "-1"], "--seed must not be negative"),

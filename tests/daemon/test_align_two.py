@@ -92,7 +92,10 @@ def test_a_jy901_instead_is_taken_as_one(tmp_path: Path) -> None:
 
 def test_what_is_saved_levels_the_sensor_and_the_program_runs_with_it(both: Path, tmp_path: Path) -> None:
     config = tmp_path / "face.toml"
-    config.write_text("# ours\n[mount]\npush = '+y'  # along the ram\nup = '+z'\n[support]\nstroke_mm = 500\n")
+    config.write_text(
+        "# ours\n[mount]\npush = '+y'  # along the ram\nup = '+z'\n[support]\nstroke_mm = 500\n"
+        "[jy901]\nuse = 'beside'\n"
+    )
     answer = told(both, "--grade", "adis16448_turn_on", "--heading", 35, "--save", config)
     text = config.read_text()
     assert "# along the ram" in text
@@ -126,6 +129,7 @@ def test_what_is_saved_levels_the_sensor_and_the_program_runs_with_it(both: Path
         ),
         (["--method", "printed", "--grade", "adis16448_turn_on", "--save", "n.toml"], 1, "not saved: the pitch is as"),
         (["--method", "triadd"], 2, "did you mean triad?"),
+        (["--method", "pso"], 2, "--method pso is one of --benchmark"),
         (["--beside-grade", "jy902"], 2, "did you mean jy901?"),
         (["--live"], 2, "name no recording beside it"),
         (["--config", "x.toml"], 2, "it goes with --live"),
@@ -147,6 +151,61 @@ def test_misuse_is_told_in_one_sentence(
     assert words in said
     assert said.count("\n") == 1
     assert not list(tmp_path.glob("*.toml"))
+
+
+def test_with_a_picture_standard_output_is_one_object(both: Path, tmp_path: Path) -> None:
+    answer = told(both, "--plot", tmp_path)
+    assert Path(answer["picture"]).read_bytes()[:4] == b"\x89PNG"
+
+
+def test_grades_of_ones_own_come_beside_those_of_the_program(both: Path, tmp_path: Path) -> None:
+    own = tmp_path / "own.toml"
+    own.write_text(
+        "[mine]\ngyro_bias_deg_h = 20\nangle_walk_deg_sqrt_h = 0.6\naccel_bias_mg = 30\n"
+        "velocity_walk_m_s_sqrt_h = 0.1\n"
+    )
+    answer = told(both, "--grades", own, "--grade", "mine")
+    assert (answer["grade"], answer["beside"]["grade"]) == ("mine", "jy901")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (
+            "[jy901]\nuse = 'beside'\n[mount]\npush = '+x'\n",
+            'it has mount.push = "+x", the recording was made with "+y"',
+        ),
+        ("[jy901]\nuse = 'instead'\n", 'it has jy901.use = "instead", the recording was made with "beside"'),
+        ("[jy901]\nuse = 'beside'\n[jy901_mount]\nup = '-z'\n", 'it has jy901_mount.up = "-z"'),
+    ],
+)
+def test_a_tilt_is_not_saved_for_another_mount(
+    both: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, words: str
+) -> None:
+    config = tmp_path / "c.toml"
+    config.write_text(text)
+    arguments = ["--latitude", "40", "--grade", "adis16448_turn_on", "--save", str(config)]
+    assert main(["align", str(both), *arguments]) == 2
+    captured = capsys.readouterr()
+    assert words in captured.err
+    assert "observed" in captured.out  # what was found is shown all the same
+    assert config.read_text() == text
+
+
+def test_saving_keeps_the_mode_of_the_file(both: Path, tmp_path: Path) -> None:
+    config = tmp_path / "c.toml"
+    config.write_text("[jy901]\nuse = 'beside'\n")
+    config.chmod(0o640)
+    told(both, "--grade", "adis16448_turn_on", "--save", config)
+    assert config.stat().st_mode & 0o777 == 0o640
+    assert "± 0.571 deg" in config.read_text().split("[jy901_mount]")[1]
+
+
+def test_a_dead_band_is_told(both: Path) -> None:
+    rest, _ = resting(1, "jy901", 10.0)
+    numb = Rest(rest.force, np.zeros_like(rest.rate), rest.quiet)
+    found = align(numb, load_grades()["jy901"], Place(LATITUDE_DEG))
+    assert any("exactly zero in 100% of the rest" in fault for fault in found.faults)
 
 
 def test_live_without_a_daemon_is_told(short_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -135,11 +135,11 @@ def test_the_printed_grade_is_one_that_align_takes(
 ) -> None:
     picture, own = tmp_path / "allan.png", tmp_path / "own.toml"
     lines = said(capsys, quiet, "--plot", str(picture)).splitlines()
-    assert lines[-1] == f"Picture: {picture}"
+    assert f"Picture: {picture}" in lines
     assert picture.read_bytes().startswith(b"\x89PNG")
     begin = lines.index("[quiet_rest]")
     assert "Turn-on biases are not in it" in lines[begin - 1]
-    own.write_text("\n".join(lines[begin - 2 : -1]) + "\n")
+    own.write_text("\n".join(lines[begin - 2 :]) + "\n")
     printed, grade = load_grades(own)["quiet_rest"].model_dump(), noise.grade()
     assert grade is not None
     assert printed.pop("source") == "Allan deviation of quiet rest.mcap, 66 s of rest"

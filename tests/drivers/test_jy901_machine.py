@@ -162,3 +162,33 @@ def test_counters_go_on_over_restarts() -> None:
     assert bench.sensor.counters.halves >= before
     assert bench.sensor.counters.starts == 2
     assert bench.sensor.counters.other_parts == 0
+
+
+@pytest.mark.parametrize("stall_s", [0.02, 0.045, 0.06, 0.3])
+def test_a_reader_that_was_held_up_squeezes_no_samples(stall_s: float) -> None:
+    """What waited for it is stamped too late; what comes then must not be stamped all at once."""
+    bench = Bench(seconds=20.0)
+    bench.run(8.0)
+    for _ in range(5):
+        bench.clock.sleep(stall_s)
+        bench.run(bench.now_s + 0.6)
+    steps = [(b.t_ns - a.t_ns) * 1e-9 for a, b in pairwise(bench.readings) if a.t_ns > 7.5e9]
+    assert min(steps) > 0.7 / 200
+    assert max(steps) < 0.06 + stall_s
+    assert abs(bench.readings[-1].t_ns * 1e-9 - bench.now_s) < 0.02
+    assert bench.sensor.counters.samples > 0.97 * 200 * (bench.now_s - bench.identities[0].t_ns * 1e-9)
+
+
+def test_half_a_sample_before_a_cable_is_pulled_is_no_other_baud_rate() -> None:
+    for at_s in (6.0, 6.001, 6.002, 6.003, 6.004):
+        bench = Bench({"kind": "serial_cut", "at_s": at_s, "for_s": 2.0}, seconds=12.0)
+        bench.run(10.0)
+        assert bench.sensor.counters.starts == 1
+        assert longest_gap_s(bench) < 2.1
+
+
+def test_a_cable_that_comes_back_late_is_found_within_a_second_and_a_half() -> None:
+    for for_s in (8.0, 8.4, 8.8, 9.2):
+        bench = Bench({"kind": "serial_cut", "at_s": 4.0, "for_s": for_s}, seconds=22.0)
+        bench.run(20.0)
+        assert longest_gap_s(bench) < for_s + 1.5

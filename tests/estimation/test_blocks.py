@@ -178,3 +178,15 @@ def test_another_rate_that_lasts_is_learned() -> None:
 
 def test_every_second_sample_lost_for_a_moment_is_no_other_rate() -> None:
     assert period_after(*[T] * 3000, *[2 * T] * 30, *[T] * 5) == pytest.approx(T, rel=1e-3)
+
+
+def test_samples_that_touch_are_dropped_and_never_make_a_period() -> None:
+    """A nanosecond apart, as a reader stamps what it reads all at once: no sensor is that fast."""
+    cutter = BlockCutter()
+    times = [round(k * 5e6) for k in range(400)]
+    times += [times[-1] + 50_000_000 + k for k in range(40)]
+    times += [times[-1] + round(k * 5e6) for k in range(1, 400)]
+    for t_ns in times:
+        cutter.add(ImuSample(t_ns, (0.0, 0.0, 0.0), (0.0, 0.0, 9.8)), MOUNT)
+    assert cutter.backward == 39
+    assert cutter.period_s == pytest.approx(5e-3, rel=0.02)
