@@ -22,6 +22,7 @@ from drivers.jy901.settings import Jy901Settings
 PORT, WHO, RATE, BAND = "serial port", "JY901", "JY901 rate", "JY901 dead band"
 _START_S = 12.0  # to look for it at every baud rate, and to set it up
 _SLOW_SHARE, _LOST_SHARE = 0.95, 0.01
+_DEAD_SHARE = 0.5  # of samples without any rate; noise leaves one of fifty so
 
 
 @dataclass(slots=True, frozen=True)
@@ -32,7 +33,6 @@ class Read:
     identity: Jy901Identity | None
     counters: Jy901Counters
     condition: Condition
-    notes: list[str]
 
 
 def look(patient: Patient) -> list[Check]:
@@ -74,7 +74,7 @@ def examine(patient: Patient, open_port: Callable[[], SerialPort]) -> list[Check
         ok(PORT, f"{settings.port if settings.transport == 'serial' else 'the virtual port'} opens"),
         judge_identity(read.identity, settings),
         judge_rate(read, settings),
-        judge_dead_band(read),
+        judge_dead_band(read.readings),
         *rest.examine(samples, rest.JY901, axes, section, "JY901 "),
     ]
 
@@ -99,7 +99,7 @@ def read_for(settings: Jy901Settings, patient: Patient, open_port: Callable[[], 
     finally:
         sensor.close()
         driver.setLevel(level)
-    return Read(readings, sensor.identity, sensor.counters, sensor.condition, sensor.notes)
+    return Read(readings, sensor.identity, sensor.counters, sensor.condition)
 
 
 def judge_identity(who: Jy901Identity, settings: Jy901Settings) -> Check:
@@ -134,9 +134,10 @@ def judge_rate(read: Read, settings: Jy901Settings) -> Check:
     return ok(RATE, found, **figures)
 
 
-def judge_dead_band(read: Read) -> Check:
+def judge_dead_band(readings: list[Reading]) -> Check:
     """Some firmware hides slow rates, and the bias with them."""
-    if read.notes:
+    zeros = sum(not any(reading.gyro[:3]) for reading in readings)
+    if zeros > _DEAD_SHARE * len(readings):
         advice = "switch the dead band off with the vendor's program, or live without bias and heading"
-        return warning(BAND, read.notes[0], advice)
+        return warning(BAND, "the gyroscopes read exactly zero: slow rates are hidden, and with them the bias", advice)
     return ok(BAND, "the gyroscopes show their noise")
