@@ -95,14 +95,14 @@ def free_inputs(chip_path: str) -> list[int]:
     """Lines of a chip that are inputs, that nobody uses, and whose names speak of nothing else."""
     try:
         import gpiod
+        from gpiod.line import Direction
 
         with gpiod.Chip(chip_path) as chip:
             lines = [chip.get_line_info(offset) for offset in range(chip.get_info().num_lines)]
-            is_input = gpiod.line.Direction.INPUT
     except (ImportError, OSError):
         return []
     return [
         line.offset
         for line in lines
-        if not line.used and line.direction == is_input and not _TAKEN.search(line.name or "")
+        if not line.used and line.direction == Direction.INPUT and not _TAKEN.search(line.name or "")
     ]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -74,8 +75,10 @@ def _print(checks: list[Check]) -> None:
 
     made = terminal.table("What was found", "check", "verdict", "found")
     made.columns[1].justify = made.columns[2].justify = "left"
-    for check in checks:
-        made.add_row(escape(check.name), str(check.verdict), escape(check.found))
+    for (verdict, found), alike in groupby(checks, key=lambda check: (check.verdict, check.found)):
+        first, *more = (check.name for check in alike)
+        name = f"{first} and {len(more)} more" if more else first
+        made.add_row(escape(name), str(verdict), escape(found))
     terminal.OUT.print(made)
     for verdict, title in ((Verdict.FAULT, "To mend, the first one first:"), (Verdict.WARNING, "Better:")):
         bad = [check for check in checks if check.verdict is verdict]

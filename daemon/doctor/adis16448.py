@@ -7,7 +7,7 @@ from pathlib import Path
 
 from daemon.doctor import lines, node, rest, sampling
 from daemon.doctor.patient import Patient
-from daemon.doctor.report import Check, fault, not_checked, ok, warning
+from daemon.doctor.report import Check, Verdict, fault, not_checked, ok, warning
 from daemon.imu.ports import OpenLine, OpenPort, port_openers
 from drivers.adis16448.configuration import ImuSettings
 from drivers.adis16448.device import Adis16448, ChecksumMissing, ImuError
@@ -37,7 +37,10 @@ def look(patient: Patient) -> list[Check]:
         return [foreign, *_hidden()]
     open_port, open_line = port_openers(settings, patient.clock, patient.support)
     chip = lines.chip_of(settings)
-    return examine(patient, open_port, open_line, None if chip is None else node.examine(chip, patient.user))
+    bad_line = None
+    if chip is not None:
+        bad_line = node.examine(chip, patient.user) or node.not_mine(chip, patient.user, patient.me)
+    return examine(patient, open_port, open_line, bad_line)
 
 
 def examine(
@@ -59,13 +62,13 @@ def examine(
         for step in (_who, _self_test, _settings):
             check = step(device, clock)
             checks.append(check)
-            if check.verdict == "fault" and step is not _self_test:
+            if check.verdict is Verdict.FAULT and step is not _self_test:
                 return checks + _hidden(after=len(checks) - 1)
         patient.say("driving the data-ready pin")
         others = lines.other_lines(settings) if patient.scan_lines and settings.transport == "spidev" else ()
         hint = _HINT if settings.transport == "spidev" and not patient.scan_lines else ""
         checks.append(bad_line or lines.examine(device, clock, open_line, others, hint))
-        line_works = checks[-1].verdict != "fault"
+        line_works = checks[-1].verdict in (Verdict.OK, Verdict.WARNING)
         patient.say(f"reading samples for {patient.listen_s:g} s")
         # The driver itself reads them: what is judged is what the daemon would get.
         read = sampling.read(settings, clock, lambda: _Kept(port), open_line if line_works else None, patient.listen_s)

@@ -165,9 +165,12 @@ def _missing(name: str, decoder: DisplacementDecoder, traffic: Traffic, figures:
         for one, seen in traffic.by_id.items()
         if seen.lengths == {source.message.length} and one.is_extended == source.frame_id.is_extended
     ]
-    advice = "correct preset, arbitration_id, node_id or dbc in [can.displacement], or let the controller send it"
+    advice = f"correct preset, arbitration_id, node_id or dbc in [can.{name}], or let the controller send it"
     if alike:
-        advice = f"{advice}: of what comes, {', '.join(alike[:_SHOWN])} has the right length"
+        advice = (
+            f"set arbitration_id in [can.{name}] to {' or '.join(alike[:_SHOWN])}, which has the right length, if that "
+            "is the sender's; else correct preset, node_id or dbc"
+        )
     if source.node_id is not None and "heartbeat" in condition.what:
         advice = condition.advice
     return fault(name, f"{condition.what}, but {traffic.words()}", advice, **figures)

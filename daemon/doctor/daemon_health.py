@@ -21,7 +21,7 @@ def look(patient: Patient) -> list[Check]:
         )
         return [ok(NAME, found, running=True), *(judge(part, status[part]) for part in _told(status))]
     if patient.taken:
-        advice = f"stop the service, or ask as a member of the group of {socket}, to have the devices looked at"
+        advice = f"stop it, or ask as a member of the group of {socket}, to have the devices looked at"
         return [not_checked(NAME, patient.taken, advice, running=None)]
     return [ok(NAME, "none runs on this configuration: the devices are free to be looked at", running=False)]
 

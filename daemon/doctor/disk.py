@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 
 from daemon.doctor.patient import Patient
-from daemon.doctor.report import Check, fault, not_checked, ok, warning
+from daemon.doctor.report import Check, Verdict, fault, not_checked, ok, warning
 from daemon.doctor.rights import PASS, WRITE, User, nearest_folder, owners_of
 from daemon.doctor.unit import Unit
 from daemon.recording.retention import free_bytes, recordings
@@ -24,6 +24,7 @@ NEEDED_KB_S = 60.0  # a live recording, all topics
 _ENOUGH = 5.0  # times that
 _PIECES, _PIECE = 16, 256 * 1024
 _SLOW_SYNC_S = 1.0
+_LONGEST_SOCKET = 107  # unix(7)
 _LOST = ("tmpfs", "ramfs", "overlay")
 MEGA = 1_000_000
 
@@ -155,6 +156,9 @@ def _speed(patient: Patient, place: Path) -> Check:
 
 def _socket(patient: Patient) -> Check:
     socket, unit = patient.settings.service.socket, patient.unit
+    if len(os.fsencode(socket)) > _LONGEST_SOCKET:
+        found = f"{socket} is longer than the {_LONGEST_SOCKET} bytes that a Unix socket may have"
+        return fault(SOCKET, found, "choose a shorter socket in [service]")
     if patient.status is not None:
         return ok(SOCKET, f"the daemon answers on {socket}")
     is_made = isinstance(unit, Unit) and unit.runtime_folder and socket.is_relative_to(f"/run/{unit.runtime_folder}")
@@ -162,7 +166,11 @@ def _socket(patient: Patient) -> Check:
         return ok(SOCKET, f"systemd makes {socket.parent} at each start")
     check = judge_folder(SOCKET, socket.parent, patient.user, "socket in [service]")
     # A socket is made anew at each start: it need not outlast a power-off.
-    return check if check.verdict != "warning" else ok(SOCKET, f"{socket.parent} can be written", **check.figures)
+    return (
+        check
+        if check.verdict is not Verdict.WARNING
+        else ok(SOCKET, f"{socket.parent} can be written", **check.figures)
+    )
 
 
 def _recorded_bytes(folder: Path) -> int:

@@ -16,7 +16,8 @@ from drivers.clock import Clock
 from drivers.data_ready import DataReady, DataReadyError, GpiodDataReady, free_inputs
 
 NAME = "data-ready line"
-WATCH_S, GLANCE_S = 0.25, 0.06
+_WATCH_S, _WATCH_EDGES = 0.25, 40  # at least
+_GLANCE_S, _GLANCE_EDGES = 0.06, 3
 _LEAST_HZ = 5.0
 
 OpenLine = Callable[[], DataReady]
@@ -106,7 +107,8 @@ def other_lines(settings: ImuSettings) -> Others:
 def _watch(device: Adis16448, clock: Clock, open_line: OpenLine, pin: int) -> LineReaction:
     line = open_line()
     try:
-        return line_reaction(device, line, clock, pin, WATCH_S)
+        seconds = max(_WATCH_S, _WATCH_EDGES / device.settings.nominal_rate_hz)
+        return line_reaction(device, line, clock, pin, seconds)
     finally:
         line.close()
 
@@ -119,15 +121,15 @@ def _followers(device: Adis16448, clock: Clock, open_line: OpenLine, others: Oth
             yield f"data_ready_pin = {3 - pin}"
     for name, open_other in others:
         with suppress(DataReadyError):
-            if _ticks(clock, open_other) and _watch(device, clock, open_other, pin).kind(nominal_hz) is (
+            if _ticks(clock, open_other, nominal_hz) and _watch(device, clock, open_other, pin).kind(nominal_hz) is (
                 LineKind.FOLLOWS
             ):
                 yield name
 
 
-def _ticks(clock: Clock, open_line: OpenLine) -> bool:
+def _ticks(clock: Clock, open_line: OpenLine, nominal_hz: float) -> bool:
     line = open_line()
     try:
-        return edges_per_second(line, clock, GLANCE_S) > _LEAST_HZ
+        return edges_per_second(line, clock, max(_GLANCE_S, _GLANCE_EDGES / nominal_hz)) > _LEAST_HZ
     finally:
         line.close()

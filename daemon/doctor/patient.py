@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -28,7 +29,7 @@ class Patient:
     file: Path | None  # None: all defaults
     unit: Unit | str  # or why nothing is known of it
     status: dict[str, Any] | None = None  # the greeting of the daemon that runs on this configuration
-    no_status: str = ""  # why there is none
+    no_status: str = ""  # why there is none, if that leaves open whether a daemon runs
     clock: Clock = field(default_factory=SystemClock)
     say: Callable[[str], None] = lambda _: None  # what is being done
     scan_lines: bool = False  # watch the other lines of the GPIO chip too, if the configured one is silent
@@ -50,9 +51,15 @@ class Patient:
             return "it belongs to the running daemon"
         if isinstance(self.unit, Unit) and self.unit.is_active:
             return "the service runs, though not on this configuration's socket, and may be using it"
-        if self.settings.service.socket.exists() and not self.me.may(self.settings.service.socket, 2):
-            return f"a daemon may be running: {self.me.name} may not ask on {self.settings.service.socket}"
-        return ""
+        return f"a daemon may be running: {self.no_status}" if self.no_status else ""
+
+
+def _nobody_listens(error: CommandError) -> bool:
+    """Whether the socket is missing, or left over by a daemon that is gone: others may hang, or be nobody's to ask."""
+    cause = error.__cause__
+    if not isinstance(cause, OSError) or isinstance(cause, TimeoutError):
+        return False
+    return cause.errno in (None, errno.ENOENT, errno.ECONNREFUSED)
 
 
 def admit(
@@ -63,7 +70,7 @@ def admit(
     try:
         patient.status = first_line(settings.service.socket)
     except CommandError as error:
-        patient.no_status = str(error)
+        patient.no_status = "" if _nobody_listens(error) else str(error)
     if settings.needs_support and patient.status is None:
         from daemon.simulation.virtual import virtual_support
 

@@ -27,7 +27,7 @@ NAMES = (SAMPLES, RATE, "noise at rest", "gyroscopes at rest", "gravity", "up ax
 _START_S = 3.0  # to reset, test and configure, several times if need be
 _ILL_SHARE, _BAD_SHARE = 0.01, 0.1
 _OF_COMPUTER = ("torn", "missed")
-_LEAST_EDGES = 50
+_LEAST_EDGES = 20
 
 
 @dataclass(slots=True, frozen=True)

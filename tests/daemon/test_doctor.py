@@ -11,11 +11,12 @@ from typing import Any
 import pytest
 
 from daemon.cli import main
-from daemon.doctor import adis16448, can, daemon_health, examination, jy901, memory
+from daemon.doctor import adis16448, can, daemon_health, disk, examination, jy901, memory
 from daemon.doctor import patient as patients
 from daemon.doctor.patient import Patient, admit
 from daemon.doctor.report import Check, Verdict, fault, not_checked, ok, warning, worst
 from daemon.doctor.unit import Unit
+from daemon.errors import CommandError
 from daemon.service.live import LiveServer
 from daemon.settings import Settings
 from daemon.simulation.virtual import virtual_line, virtual_support
@@ -224,3 +225,32 @@ def test_what_ails_a_jy901_is_told(trouble: str, name: str, verdict: Verdict, tm
     if trouble == "serial_drops":
         fault_of_it |= {"at_s": 1.0, "share": 0.05}
     assert jy901_checks(tmp_path, fault_of_it)[name].verdict is verdict
+
+
+# --- who may be using the devices ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("cause", "is_taken"),
+    [
+        (FileNotFoundError(2, "No such file or directory"), False),
+        (ConnectionRefusedError(111, "Connection refused"), False),
+        (PermissionError(13, "Permission denied"), True),
+        (TimeoutError("timed out"), True),
+        (None, True),
+    ],
+)
+def test_a_daemon_that_cannot_be_asked_may_be_running(
+    cause: OSError | None, is_taken: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def asked(path: Path) -> dict[str, Any]:
+        raise CommandError("no daemon answers") from cause
+
+    monkeypatch.setattr(patients, "first_line", asked)
+    monkeypatch.setattr(patients, "read_unit", lambda: NO_SYSTEMD)
+    assert bool(admit(patient(tmp_path).settings, None).taken) is is_taken
+
+
+def test_a_socket_path_that_is_too_long_is_a_fault(tmp_path: Path) -> None:
+    who = patient(tmp_path, service={"socket": f"/tmp/{'x' * 110}"})
+    assert by_name(disk.look(who))["live socket"].verdict is Verdict.FAULT

@@ -55,7 +55,7 @@ def test_a_healthy_bus_is_healthy(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("fault", "found", "advice"),
     [
-        ({"kind": "wrong_identifier"}, "no frame 0x310 yet, but 0x311", "0x3FF has the right length"),
+        ({"kind": "wrong_identifier"}, "no frame 0x310 yet, but 0x311", "to 0x3FF, which has the right length"),
         ({"kind": "wrong_length", "length": 3}, "have 3 bytes instead of 5", "arbitration_id"),
         ({"kind": "corrupted"}, "the checksum of frames 0x310 does not fit", "checksum_signal"),
         ({"kind": "frozen_frame", "at_s": 0.5}, "the message counter stands still", "restart the controller"),

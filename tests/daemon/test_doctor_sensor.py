@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+import threading
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from daemon.doctor import sampling
 from daemon.doctor.report import Verdict
 from drivers.adis16448.registers import STANDARD_GRAVITY
 from drivers.clock import Clock
@@ -233,7 +235,20 @@ def test_another_rate_than_the_data_sheet_is_told(tmp_path: Path) -> None:
     assert check.figures["off"] == pytest.approx(770 / 819.2 - 1, abs=1e-3)
 
 
-@pytest.mark.parametrize("imu", [{"decimation_exponent": 2}, {"filter_taps_exponent": 5}, {"gyro_range_dps": 1000}])
+@pytest.mark.parametrize("imu", [{"decimation_exponent": 5}, {"filter_taps_exponent": 5}, {"gyro_range_dps": 1000}])
 def test_other_settings_are_judged_by_their_own_noise_and_rate(imu: dict[str, Any], tmp_path: Path) -> None:
     checks = Bench(tmp_path, imu=imu).examine()
     assert {check.verdict for check in checks.values()} == {Verdict.OK}
+
+
+def test_samples_are_read_with_the_priority_that_the_daemon_would_have(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[tuple[int, str]] = []
+    monkeypatch.setattr(
+        sampling, "prefer_this_thread", lambda priority: asked.append((priority, threading.current_thread().name))
+    )
+    checks = Bench(tmp_path, imu={"realtime_priority": 40}).examine()
+    assert checks["samples"].verdict is Verdict.OK
+    assert [priority for priority, _ in asked] == [40]
+    assert asked[0][1] != threading.main_thread().name
