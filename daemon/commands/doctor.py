@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from daemon.doctor.report import Check
+    from daemon.doctor.report import Check, Verdict
 
 HELP = (
     "Look at everything that goes wrong on a real support: configuration, wires, sensor, data-ready line, CAN, disk, "
@@ -75,7 +75,7 @@ def _print(checks: list[Check]) -> None:
 
     made = terminal.table("What was found", "check", "verdict", "found")
     made.columns[1].justify = made.columns[2].justify = "left"
-    for (verdict, found), alike in groupby(checks, key=lambda check: (check.verdict, check.found)):
+    for (verdict, found, _), alike in groupby(checks, key=_alike):
         first, *more = (check.name for check in alike)
         name = f"{first} and {len(more)} more" if more else first
         made.add_row(escape(name), str(verdict), escape(found))
@@ -88,6 +88,13 @@ def _print(checks: list[Check]) -> None:
             terminal.say(f"  {number}. {check.name}: {check.advice}")
     if not any(check.verdict in (Verdict.FAULT, Verdict.WARNING) for check in checks):
         terminal.say("Nothing is at fault.")
+
+
+def _alike(check: Check) -> tuple[Verdict, str, str]:
+    """What one fault hides is one row."""
+    from daemon.doctor.report import Verdict
+
+    return check.verdict, check.found, "" if check.verdict is Verdict.NOT_CHECKED else check.name
 
 
 @contextmanager

@@ -14,7 +14,7 @@ from daemon.doctor.report import Check, Verdict
 from daemon.simulation.virtual import ControllerTransmitter, virtual_controller, virtual_support
 from drivers.can.frame import Frame
 from drivers.can.interface import to_message
-from drivers.can.link import LinkFacts, link_of
+from drivers.can.link import LinkFacts, link_of, read_link
 from drivers.can.settings import CanSettings
 from drivers.virtual.can_network import NetworkBus, network
 from drivers.virtual.faults import FaultScript
@@ -194,3 +194,12 @@ def test_an_interface_that_is_down_by_ip_is_a_fault_with_the_command() -> None:
     interface, controller = can_link.judge(link_of(down), CanSettings())
     assert (interface.verdict, controller.verdict) == (Verdict.FAULT, Verdict.NOT_CHECKED)
     assert "ip link set can0 up" in interface.advice
+
+
+def test_without_ip_the_kernel_s_own_files_tell_what_they_can(monkeypatch: pytest.MonkeyPatch) -> None:
+    def missing(*_: object, **__: object) -> None:
+        raise FileNotFoundError(2, "No such file or directory", "ip")
+
+    monkeypatch.setattr("drivers.can.link.subprocess.run", missing)
+    link = read_link("lo")
+    assert (link.exists, link.is_can, link.is_up, link.bitrate, link.state) == (True, False, True, None, None)
