@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import groupby
@@ -99,11 +100,19 @@ def _alike(check: Check) -> tuple[Verdict, str, str]:
 
 @contextmanager
 def _progress() -> Iterator[Callable[[str], None]]:
-    """What is being done, on standard error; silent when that is no terminal."""
-    from daemon import terminal
+    """What is being done, on one line of standard error; silent when that is no terminal.
 
-    if not terminal.ERR.is_terminal:
+    No spinner: its thread would make the reader late for samples.
+    """
+    if not sys.stderr.isatty():
         yield lambda _: None
         return
-    with terminal.ERR.status("looking") as status:
-        yield lambda what: status.update(f"{what} ...")
+
+    def write(text: str) -> None:
+        sys.stderr.write(f"\r\x1b[2K{text}")
+        sys.stderr.flush()
+
+    try:
+        yield lambda what: write(f"{what} ...")
+    finally:
+        write("")

@@ -41,7 +41,7 @@ def judge_modules(settings: Settings) -> Check:
     if missing:
         return fault(
             PROGRAM,
-            f"the Python modules {' and '.join(missing)} are missing; {found}",
+            f"missing Python modules: {', '.join(missing)}; {found}",
             "pip install 'ramstroke[hardware]' into the environment of the program",
             missing=missing,
             **figures,
