@@ -11,7 +11,7 @@ from daemon.doctor import node
 from daemon.doctor.report import Check, fault, ok, warning
 from drivers.adis16448.configuration import ImuSettings
 from drivers.adis16448.device import Adis16448
-from drivers.adis16448.probe import LineKind, LineReaction, edges_per_second, line_reaction
+from drivers.adis16448.probe import LineKind, LineReaction, edges_per_second, is_inverted, line_reaction
 from drivers.clock import Clock
 from drivers.data_ready import DataReady, DataReadyError, GpiodDataReady, free_inputs
 
@@ -50,6 +50,13 @@ def examine(device: Adis16448, clock: Clock, open_line: OpenLine | None, others:
         else:
             advice = f"{advice} in [imu]; gpioinfo shows the lines and who uses them, group gpio has the rights"
         return fault(NAME, what, advice)
+    if reaction.kind(settings.nominal_rate_hz) is LineKind.FOLLOWS and _is_inverted(device, clock, open_line):
+        return fault(
+            NAME,
+            "the line is inverted: its edges come before the registers change, not after, and bursts are torn",
+            f"use a level shifter that does not invert between DIO{settings.data_ready_pin} and the GPIO line",
+            edges_driven_hz=round(reaction.on_hz, 1),
+        )
     followers: list[str] = []
     if reaction.kind(settings.nominal_rate_hz) in (LineKind.SILENT, LineKind.STRANGER):
         followers = list(_followers(device, clock, open_line, others))
@@ -109,6 +116,14 @@ def _watch(device: Adis16448, clock: Clock, open_line: OpenLine, pin: int) -> Li
     try:
         seconds = max(_WATCH_S, _WATCH_EDGES / device.settings.nominal_rate_hz)
         return line_reaction(device, line, clock, pin, seconds)
+    finally:
+        line.close()
+
+
+def _is_inverted(device: Adis16448, clock: Clock, open_line: OpenLine) -> bool:
+    line = open_line()
+    try:
+        return is_inverted(device, line, clock)
     finally:
         line.close()
 

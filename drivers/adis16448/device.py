@@ -16,6 +16,7 @@ from drivers.adis16448.registers import (
     DIAG_MAGNETOMETER,
     DIAG_MEMORY,
     DIAG_SELF_TEST,
+    MSC_ACTIVE_HIGH,
     MSC_BURST_CRC,
     MSC_DATA_READY,
     MSC_ON_DIO2,
@@ -159,6 +160,12 @@ class Adis16448:
         control = self._read_settled("MSC_CTRL") & 0xFF & ~(MSC_DATA_READY | MSC_ON_DIO2)
         driven = 0 if pin is None else MSC_DATA_READY | (MSC_ON_DIO2 if pin == 2 else 0)
         self._write_byte(REGISTERS["MSC_CTRL"].address, control | driven)
+
+    def turn_data_ready(self, *, inverted: bool) -> None:
+        """Give the data-ready pin the opposite of its configured polarity, or that one again."""
+        control = self._read_settled("MSC_CTRL") & 0xFF & ~MSC_ACTIVE_HIGH
+        is_high = self.settings.data_ready_active_high is not inverted
+        self._write_byte(REGISTERS["MSC_CTRL"].address, control | (MSC_ACTIVE_HIGH if is_high else 0))
 
     # --- while data come --------------------------------------------------------------------------------------
 

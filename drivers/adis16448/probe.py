@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
+from drivers.adis16448.burst import Fault
 from drivers.adis16448.device import Adis16448, likely_cause
 from drivers.adis16448.registers import PRODUCT_ID
 from drivers.clock import Clock
@@ -18,6 +19,8 @@ _SLICE_S = 0.02
 _SILENT_SHARE = 0.02  # of the nominal rate: a stray edge is no life
 _DRIVEN_SHARE = 0.5  # of it, at least, must come and go with the pin
 _TOLERANCE = 0.1
+_BURSTS, _LONGEST_WAIT_S = 60, 0.2
+_INVERTED_SHARE = 0.15  # of bursts that are torn; a line that is right tears none, or as many when turned
 
 
 class IdKind(StrEnum):
@@ -130,6 +133,33 @@ def line_reaction(device: Adis16448, line: DataReady, clock: Clock, pin: int, se
         device.drive_data_ready(device.settings.data_ready_pin)
 
 
+def is_inverted(device: Adis16448, line: DataReady, clock: Clock) -> bool:
+    """Whether the line shows the wrong edge of each pulse, as behind an inverter. Raises as `line_reaction`.
+
+    At the wrong edge the registers are about to change, and bursts are torn; turn the pin round and they are whole.
+    Only checksums tell: False without.
+    """
+    if not device.crc_active or (as_it_is := _torn_share(device, line, clock)) < _INVERTED_SHARE:
+        return False
+    try:
+        device.turn_data_ready(inverted=True)
+        return _torn_share(device, line, clock) < as_it_is / 4
+    finally:
+        device.turn_data_ready(inverted=False)
+
+
+def _torn_share(device: Adis16448, line: DataReady, clock: Clock) -> float:
+    """Share of bursts, read at an edge each, whose checksum is wrong."""
+    edges_per_second(line, clock, 0.0)  # those of before are stale
+    torn = 0
+    for _ in range(_BURSTS):
+        edge = line.wait(_LONGEST_WAIT_S)
+        if edge is None:
+            return 0.0
+        torn += device.read_burst(edge.t_ns, edge.kind).fault is Fault.CRC
+    return torn / _BURSTS
+
+
 def edges_per_second(line: DataReady, clock: Clock, seconds: float) -> float:
     """Edges of a line, those of before left out. Raises DataReadyError."""
     clock.sleep(_SETTLE_S)
@@ -142,4 +172,4 @@ def edges_per_second(line: DataReady, clock: Clock, seconds: float) -> float:
     while (now_ns := clock.now_ns()) < end_ns:
         edge = line.wait(min(_SLICE_S, (end_ns - now_ns) / 1e9))
         edges += 0 if edge is None else edge.missed + 1
-    return edges / ((clock.now_ns() - begin_ns) / 1e9)
+    return edges / max((clock.now_ns() - begin_ns) / 1e9, 1e-9)

@@ -125,6 +125,15 @@ def test_the_other_pin_of_the_part_is_recognised(tmp_path: Path) -> None:
     assert "set data_ready_pin = 2 in [imu]" in checks["data-ready line"].advice
 
 
+@pytest.mark.parametrize("active_high", [True, False])
+def test_an_inverter_in_the_line_is_found(active_high: bool, tmp_path: Path) -> None:
+    bench = Bench(tmp_path, imu={"data_ready_active_high": active_high})
+    checks = bench.examine(lambda: bench.part.data_ready(active_high=not active_high))
+    assert names_of(checks, Verdict.FAULT) == ["data-ready line"]
+    assert "inverted" in checks["data-ready line"].found
+    assert bench.examine()["data-ready line"].verdict is Verdict.OK
+
+
 def test_lost_and_doubled_edges_are_told(tmp_path: Path) -> None:
     lost = Bench(tmp_path, {"kind": "data_ready_lost", "share": 0.3}).examine()["data-ready line"]
     assert (lost.verdict, lost.found.split(":")[0]) == (Verdict.FAULT, "edges are lost")
