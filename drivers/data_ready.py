@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -84,3 +85,24 @@ class GpiodDataReady:
     def close(self) -> None:
         """Give the line back."""
         self._request.release()
+
+
+# Words in the names of lines that belong to another block of the chip although the kernel calls them unused.
+_TAKEN = re.compile(r"SPI|MOSI|MISO|SCL|SDA|TXD|RXD|UART|I2C|CTS|RTS|SD\d?_|PWM|PCM|STATUS|RGMII|ETH|HDMI|CAM", re.I)
+
+
+def free_inputs(chip_path: str) -> list[int]:
+    """Lines of a chip that are inputs, that nobody uses, and whose names speak of nothing else."""
+    try:
+        import gpiod
+        from gpiod.line import Direction
+
+        with gpiod.Chip(chip_path) as chip:
+            lines = [chip.get_line_info(offset) for offset in range(chip.get_info().num_lines)]
+    except (ImportError, OSError):
+        return []
+    return [
+        line.offset
+        for line in lines
+        if not line.used and line.direction == Direction.INPUT and not _TAKEN.search(line.name or "")
+    ]

@@ -16,7 +16,10 @@ from drivers.adis16448.registers import (
     DIAG_MAGNETOMETER,
     DIAG_MEMORY,
     DIAG_SELF_TEST,
+    MSC_ACTIVE_HIGH,
     MSC_BURST_CRC,
+    MSC_DATA_READY,
+    MSC_ON_DIO2,
     MSC_SELF_TEST,
     PRODUCT_ID,
     REGISTERS,
@@ -151,6 +154,18 @@ class Adis16448:
             )
         self._write_byte(REGISTERS["MSC_CTRL"].address, self._read_settled("MSC_CTRL") & 0xFF & ~MSC_BURST_CRC)
         return ["the part sends no burst checksum (old silicon): only its time tells that a burst was torn"]
+
+    def drive_data_ready(self, pin: int | None) -> None:
+        """Let the part drive DIO1, DIO2 or neither of them, for whoever looks for the line that follows."""
+        control = self._read_settled("MSC_CTRL") & 0xFF & ~(MSC_DATA_READY | MSC_ON_DIO2)
+        driven = 0 if pin is None else MSC_DATA_READY | (MSC_ON_DIO2 if pin == 2 else 0)
+        self._write_byte(REGISTERS["MSC_CTRL"].address, control | driven)
+
+    def turn_data_ready(self, *, inverted: bool) -> None:
+        """Give the data-ready pin the opposite of its configured polarity, or that one again."""
+        control = self._read_settled("MSC_CTRL") & 0xFF & ~MSC_ACTIVE_HIGH
+        is_high = self.settings.data_ready_active_high is not inverted
+        self._write_byte(REGISTERS["MSC_CTRL"].address, control | (MSC_ACTIVE_HIGH if is_high else 0))
 
     # --- while data come --------------------------------------------------------------------------------------
 

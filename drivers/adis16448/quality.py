@@ -32,7 +32,7 @@ _DIAGNOSIS_ADVICE = {
 
 _TOO_LATE = 'lessen the load of this computer, or set realtime_priority or acquisition = "process" in [imu]'
 _UNSEEN = "unseen"
-_MISSED = ("samples are missed: reads come too late", _TOO_LATE)
+MISSED = ("samples are missed: reads come too late", _TOO_LATE)
 WORDS: dict[str, tuple[str, str]] = {
     FAULT_NAMES[Fault.CRC]: (
         "samples fail their checksum",
@@ -95,7 +95,7 @@ class QualityWatch:
         if now_ns >= self._due_ns:
             self._due_ns = now_ns + _STEP_NS
             self._judge()
-        said = [WORDS.get(self._worst, _MISSED)] if self._is_ill else []
+        said = [WORDS.get(self._worst, MISSED)] if self._is_ill else []
         recent = sum(bit for bit, t_ns in self._seen.items() if now_ns - t_ns < _DIAGNOSIS_NS) & ~_HARMLESS
         for sentence in diagnoses(recent):
             said.append((f"the sensor says: {sentence}", _DIAGNOSIS_ADVICE.get(sentence, _REPLACE)))
