@@ -15,7 +15,10 @@ def triad(force: FloatArray, rate: FloatArray) -> FloatArray:
     as the accelerometers, and only the heading suffers from the gyroscopes.
     """
     up = _unit(force)
-    east = _unit(np.cross(rate, up))
+    across = np.cross(rate, up)
+    # A rate of exactly zero, or straight up, names no east: the body's y axis then counts as north.
+    nowhere = np.linalg.norm(across, axis=-1, keepdims=True) == 0.0
+    east = _unit(np.where(nowhere, np.cross([0.0, 1.0, 0.0], up), across))
     return np.stack([east, np.cross(up, east), up], axis=-2)
 
 
