@@ -54,7 +54,7 @@ def examine(device: Adis16448, clock: Clock, open_line: OpenLine | None, others:
         return fault(
             NAME,
             "the line is inverted: its edges come before the registers change, not after, and bursts are torn",
-            f"use a level shifter that does not invert between DIO{settings.data_ready_pin} and the GPIO line",
+            f"set data_ready_active_high = {'false' if settings.data_ready_active_high else 'true'} in [imu]",
             edges_driven_hz=round(reaction.on_hz, 1),
         )
     followers: list[str] = []

@@ -62,12 +62,13 @@ def port_openers(
 
         assert support is not None
         part = virtual_part(support, clock)
-        return lambda: part, lambda: part.data_ready(pin=pin, active_high=active_high)
+        # The virtual wire inverts where the settings say so: the listener sees the pin's own edges.
+        return lambda: part, lambda: part.data_ready(pin=pin)
     if settings.transport == "socket":
         from drivers.virtual.spi_socket import SocketDataReady, SocketTransport
 
         path = settings.socket_path
-        return lambda: SocketTransport(path), lambda: SocketDataReady(path, pin=pin, active_high=active_high)
+        return lambda: SocketTransport(path), lambda: SocketDataReady(path, pin=pin)
     device, chip, line = settings.spi_device, settings.data_ready_chip, settings.data_ready_line
     if line is None:
         return lambda: SpidevTransport(device), None

@@ -122,6 +122,6 @@ def _sensors(settings: Settings, devices: Devices, clock: Clock) -> tuple[Sensor
         imu,
         clock,
         lambda: part,
-        lambda: part.data_ready(pin=imu.data_ready_pin, active_high=imu.data_ready_active_high),
+        lambda: part.data_ready(pin=imu.data_ready_pin),
     )
     return adis16448, jy901

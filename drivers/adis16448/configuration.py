@@ -41,7 +41,9 @@ class ImuSettings(BaseModel):
         int | None, Field(ge=0, description="its number on that chip; without one, reads are paced")
     ] = None
     data_ready_pin: Annotated[Literal[1, 2], Field(description="DIO pin of the part wired to that line")] = 1
-    data_ready_active_high: Annotated[bool, Field(description="line high while data are valid")] = True
+    data_ready_active_high: Annotated[
+        bool, Field(description="GPIO line high while data are valid; false behind an inverting level shifter")
+    ] = True
     gyro_range_dps: Annotated[Literal[250, 500, 1000], Field(description="gyro range [deg/s]")] = 500
     filter_taps_exponent: Annotated[
         int,
@@ -128,8 +130,8 @@ def register_bits(settings: ImuSettings, *, crc: bool) -> tuple[RegisterBits, ..
     msc_mask = MSC_PERCUSSION | MSC_BURST_CRC | MSC_DATA_READY | MSC_ACTIVE_HIGH | MSC_ON_DIO2
     msc = (
         MSC_DATA_READY
+        | MSC_ACTIVE_HIGH  # always: data_ready_active_high says what the way from the pin to the GPIO makes of it
         | (MSC_BURST_CRC if crc else 0)
-        | (MSC_ACTIVE_HIGH if settings.data_ready_active_high else 0)
         | (MSC_ON_DIO2 if settings.data_ready_pin == 2 else 0)
     )
     decimation = settings.decimation_exponent << SMPL_DECIMATION_SHIFT

@@ -162,10 +162,9 @@ class Adis16448:
         self._write_byte(REGISTERS["MSC_CTRL"].address, control | driven)
 
     def turn_data_ready(self, *, inverted: bool) -> None:
-        """Give the data-ready pin the opposite of its configured polarity, or that one again."""
+        """Give the data-ready pin the opposite polarity, or its own again."""
         control = self._read_settled("MSC_CTRL") & 0xFF & ~MSC_ACTIVE_HIGH
-        is_high = self.settings.data_ready_active_high is not inverted
-        self._write_byte(REGISTERS["MSC_CTRL"].address, control | (MSC_ACTIVE_HIGH if is_high else 0))
+        self._write_byte(REGISTERS["MSC_CTRL"].address, control | (0 if inverted else MSC_ACTIVE_HIGH))
 
     # --- while data come --------------------------------------------------------------------------------------
 

@@ -64,7 +64,7 @@ class Bench:
 
     def line(self) -> DataReady:
         settings = self.patient.settings.imu
-        return self.part.data_ready(pin=settings.data_ready_pin, active_high=settings.data_ready_active_high)
+        return self.part.data_ready(pin=settings.data_ready_pin)
 
     def examine(self, open_line: Any = "the part's") -> dict[str, Check]:
         checks = adis16448.examine(

@@ -128,9 +128,10 @@ def test_the_other_pin_of_the_part_is_recognised(tmp_path: Path) -> None:
 @pytest.mark.parametrize("active_high", [True, False])
 def test_an_inverter_in_the_line_is_found(active_high: bool, tmp_path: Path) -> None:
     bench = Bench(tmp_path, imu={"data_ready_active_high": active_high})
-    checks = bench.examine(lambda: bench.part.data_ready(active_high=not active_high))
+    checks = bench.examine(lambda: bench.part.data_ready(active_high=False))
     assert names_of(checks, Verdict.FAULT) == ["data-ready line"]
     assert "inverted" in checks["data-ready line"].found
+    assert f"data_ready_active_high = {str(not active_high).lower()}" in checks["data-ready line"].advice
     assert bench.examine()["data-ready line"].verdict is Verdict.OK
 
 

@@ -119,8 +119,8 @@ class Bench:
     def open_line(self) -> Line:
         if self.line_error:
             raise DataReadyError(self.line_error)
-        pin, active_high = self.settings.data_ready_pin, self.settings.data_ready_active_high
-        self.lines.append(Line(self.part.data_ready(pin=pin, active_high=active_high)))
+        # At the end of a wire that inverts where the settings say so: the kernel stamps the pin's own rising edge.
+        self.lines.append(Line(self.part.data_ready(pin=self.settings.data_ready_pin)))
         return self.lines[-1]
 
     def step(self) -> list[Burst | Identity]:

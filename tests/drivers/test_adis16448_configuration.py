@@ -64,7 +64,7 @@ def test_the_table_writes_the_range_before_the_taps_it_limits() -> None:
 
 def test_the_line_options_end_in_the_control_register() -> None:
     settings = ImuSettings(data_ready_pin=2, data_ready_active_high=False)
-    assert register_bits(settings, crc=False)[0].applied_to(0x0006) == 0x0005
+    assert register_bits(settings, crc=False)[0].applied_to(0x0006) == 0x0007
 
 
 def test_bits_hold_only_where_both_kinds_are_as_wanted() -> None:

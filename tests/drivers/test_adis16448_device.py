@@ -51,10 +51,10 @@ def test_a_part_left_in_another_configuration_is_brought_to_ours_whatever_the_or
     assert writes(wire) == [0xB700, 0xB904, 0xB801, 0xB416]
 
 
-def test_the_second_data_ready_pin_and_the_low_level_are_configured() -> None:
+def test_the_second_data_ready_pin_is_configured_and_the_pin_stays_high_behind_an_inverter() -> None:
     device, _, clock = bench(ImuSettings(data_ready_pin=2, data_ready_active_high=False, burst_crc="off"))
     bring_up(device, clock)
-    assert device.read_register("MSC_CTRL") == 0x0005
+    assert device.read_register("MSC_CTRL") == 0x0007
     assert not device.crc_active
 
 

@@ -53,7 +53,7 @@ def test_every_combination_works(silicon: str, decimation: int, gyro_range: int)
 
 @pytest.mark.parametrize("pin", [1, 2])
 @pytest.mark.parametrize("active_high", [True, False])
-def test_both_data_ready_pins_and_levels_work(pin: int, active_high: bool) -> None:
+def test_both_data_ready_pins_work_with_an_inverter_and_without(pin: int, active_high: bool) -> None:
     bench = Bench({"data_ready_pin": pin, "data_ready_active_high": active_high})
     bench.run(1.0)
     items = bench.run(1.0)
