@@ -11,11 +11,11 @@ from unittest.mock import patch
 import numpy as np
 
 from daemon import terminal
-from daemon.offline.evaluation import evaluate, records_of
-from daemon.offline.evaluation_score import Case
-from daemon.offline.evaluation_summary import summarise, summarise_clock
-from daemon.offline.replay import replay
-from daemon.offline.scenarios import SCENARIOS_OF_EVALUATION
+from daemon.offline.evaluation.runs import evaluate, records_of
+from daemon.offline.evaluation.scenarios import SCENARIOS_OF_EVALUATION
+from daemon.offline.evaluation.score import Case
+from daemon.offline.evaluation.summary import summarise, summarise_clock
+from daemon.offline.replaying.replay import replay
 from daemon.recording.metadata import describe
 from daemon.recording.reader import Recording
 from daemon.recording.recover import recover

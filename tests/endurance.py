@@ -19,7 +19,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from daemon.offline.replay import replay
+from daemon.offline.replaying.replay import replay
 from daemon.recording import topics
 from daemon.recording.reader import Recording
 from daemon.recording.topics import Health

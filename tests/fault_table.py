@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args
 
-from daemon.offline.replay import replay
+from daemon.offline.replaying.replay import replay
 from drivers.virtual.faults import KINDS, BusFault, FaultScript, FrameFault, InterfaceFault, Jy901Fault, SerialFault
 from estimation.records import CanState, Move, MoveKind
 from tests.acceptance.fault_scene import Outcome, is_ill, play, without_faults

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import matplotlib
 import numpy as np
 
-from daemon.offline.evaluation import records_of
+from daemon.offline.evaluation.runs import records_of
 from drivers.virtual.controller import ObservedDisplacement
 from drivers.virtual.support import VirtualSupport
 from estimation.mskf import BOW, LATENCY, OFFSET, PUSH_FLOW, RETRACT_FLOW, SCALE

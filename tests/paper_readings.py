@@ -11,8 +11,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from daemon import terminal
-from daemon.offline.evaluation_score import STANDS_S
-from daemon.offline.method_evaluation import play
+from daemon.offline.evaluation.methods import play
+from daemon.offline.evaluation.score import STANDS_S
 from estimation.methods.batch import Batch, Course
 from estimation.methods.corrected_c import corrected_c
 from estimation.methods.paper_c import Reading, paper_c

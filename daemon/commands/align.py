@@ -11,7 +11,7 @@ from daemon.commands import align_benchmark, align_tables, choices
 
 if TYPE_CHECKING:
     from daemon.imu.roles import Role
-    from daemon.offline.rest import Rest
+    from daemon.offline.alignment.rest import Rest
     from daemon.settings import Settings
     from estimation.alignment.earth import Place
 
@@ -77,10 +77,10 @@ def run(arguments: argparse.Namespace) -> int:
     """Align, or show what alignment can do."""
     from daemon import terminal
     from daemon.errors import UsageError
-    from daemon.offline.aligned_configuration import save
-    from daemon.offline.alignment import METHODS, align
-    from daemon.offline.alignment_course_plot import draw_course
-    from daemon.offline.grades import load_grades
+    from daemon.offline.alignment.align import METHODS, align
+    from daemon.offline.alignment.course_plot import draw_course
+    from daemon.offline.alignment.grades import load_grades
+    from daemon.offline.alignment.saving import save
 
     grades = load_grades(arguments.grades)
     if arguments.grade == "list":
@@ -152,9 +152,9 @@ def _rests(arguments: argparse.Namespace) -> tuple[Path, Settings, dict[Role, Re
 
     from daemon import terminal
     from daemon.configuration import load
-    from daemon.offline.live_rest import live_rests
-    from daemon.offline.replay import settings_of
-    from daemon.offline.rest import rests_at_beginning
+    from daemon.offline.alignment.live_rest import live_rests
+    from daemon.offline.alignment.rest import rests_at_beginning
+    from daemon.offline.replaying.replay import settings_of
     from daemon.recording.reader import Recording
     from daemon.settings import Settings
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from daemon.commands import align_tables, choices
 
 if TYPE_CHECKING:
-    from daemon.offline.alignment_tuning import Tuned
+    from daemon.offline.alignment.tuning import Tuned
     from estimation.alignment.scenarios import Alignment
 
 TUNED_SHARE = 10  # of --runs one in ten is tuned on: a search is 2,000 alignments
@@ -25,8 +25,8 @@ def run(arguments: argparse.Namespace) -> int:
     """All settings, then the tuners, or the one that is named."""
     from daemon import terminal
     from daemon.errors import UsageError
-    from daemon.offline.alignment_benchmark import PRINTED, benchmark
-    from daemon.offline.alignment_tuning import (
+    from daemon.offline.alignment.benchmark import PRINTED, benchmark
+    from daemon.offline.alignment.tuning import (
         GENERATIONS,
         METHODS,
         SIMULATION,
@@ -70,7 +70,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def methods() -> dict[str, str]:
     """Those of the benchmark, and what they do."""
-    from daemon.offline.alignment_tuning import METHODS
+    from daemon.offline.alignment.tuning import METHODS
 
     return METHODS
 
@@ -89,8 +89,8 @@ def print_methods() -> None:
 def _draw(tuned: list[Tuned], methods: tuple[str, ...], seed: int, folder: Path) -> list[Path]:
     """Figure 7 has the methods that paper B prints, tuned on its own record."""
     from daemon import terminal
-    from daemon.offline.alignment_plots import draw_figure_5, draw_figure_7
-    from daemon.offline.alignment_tuning import AS_PRINTED, GENERATIONS, records_of, tune_all
+    from daemon.offline.alignment.paper_figures import draw_figure_5, draw_figure_7
+    from daemon.offline.alignment.tuning import AS_PRINTED, GENERATIONS, records_of, tune_all
     from estimation.alignment.scenarios import EXPERIMENT
 
     shown = tuple(method for method in methods if method in AS_PRINTED) or methods
@@ -141,7 +141,7 @@ def _print_settings(rows: list[dict[str, Any]], runs: int) -> None:
 
 def _print_tuned(rows: list[dict[str, Any]]) -> None:
     from daemon import terminal
-    from daemon.offline.alignment_tuning import SIMULATION
+    from daemon.offline.alignment.tuning import SIMULATION
 
     made = terminal.table(
         f"Process noise by tuners, paper B's Tables 2 and 3 (AL-8: {_conditions(SIMULATION)}), {rows[0]['runs']} runs, "

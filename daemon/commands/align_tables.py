@@ -11,7 +11,7 @@ from estimation.alignment.verdict import Verdict
 
 if TYPE_CHECKING:
     from daemon.imu.roles import Role
-    from daemon.offline.alignment import Alignment
+    from daemon.offline.alignment.align import Alignment
     from daemon.settings import Settings
     from estimation.alignment.earth import Place
     from estimation.alignment.sensor import SensorGrade

@@ -36,7 +36,7 @@ def seeds(text: str) -> range:
 def picture_folder(option: str, folder: Path) -> None:
     """Make it, before an hour of computing. Raises UsageError, or PlotError where nothing can be drawn."""
     from daemon.errors import UsageError
-    from daemon.offline.evaluation_plots import require_matplotlib
+    from daemon.offline.evaluation.plots import require_matplotlib
 
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -47,9 +47,9 @@ def run(arguments: argparse.Namespace) -> int:
 
     from daemon import terminal
     from daemon.errors import UsageError
-    from daemon.offline.evaluation import evaluate
-    from daemon.offline.evaluation_score import Case
-    from daemon.offline.scenarios import SCENARIOS_OF_EVALUATION
+    from daemon.offline.evaluation.runs import evaluate
+    from daemon.offline.evaluation.scenarios import SCENARIOS_OF_EVALUATION
+    from daemon.offline.evaluation.score import Case
 
     if arguments.scenario == "list":
         made = terminal.table("Scenarios", "name", "what")
@@ -79,7 +79,7 @@ def run(arguments: argparse.Namespace) -> int:
     failures = [result for result in results if result.failure]
     rows = {name: _rows([result for result in results if result.case.scenario == name], name) for name in names}
     if arguments.plot is not None:
-        from daemon.offline.evaluation_plots import plot_evaluation
+        from daemon.offline.evaluation.plots import plot_evaluation
 
         for name in names:
             plot_evaluation([result for result in results if result.case.scenario == name], arguments.plot)
@@ -108,7 +108,7 @@ def _compare(scenarios: list[str], arguments: argparse.Namespace) -> int:
 
     from daemon import terminal
     from daemon.errors import UsageError
-    from daemon.offline.method_evaluation import evaluate_methods, summarise_methods
+    from daemon.offline.evaluation.methods import evaluate_methods, summarise_methods
     from estimation.methods.registry import METHODS
 
     if arguments.warm or arguments.no_can:
@@ -119,8 +119,8 @@ def _compare(scenarios: list[str], arguments: argparse.Namespace) -> int:
         results = evaluate_methods(names, scenarios, arguments.seeds, arguments.jobs, progress)
     rows = summarise_methods(results)
     if arguments.plot is not None:
-        from daemon.offline.paper_figures import draw_figures
-        from daemon.offline.tuning_plots import draw_paper_a
+        from daemon.offline.evaluation.paper_figures import draw_figures
+        from daemon.offline.tuning.plots import draw_paper_a
 
         for scenario in scenarios:
             draw_figures(scenario, arguments.seeds[0], arguments.plot)
@@ -183,7 +183,7 @@ def _check(arguments: argparse.Namespace) -> None:
 
 def _rows(results: list[Any], scenario: str) -> dict[str, dict[str, Any]]:
     """Of one scenario: for each judged move a row per mode and the clock's."""
-    from daemon.offline.evaluation_summary import row_names, summarise, summarise_clock, summarise_rest
+    from daemon.offline.evaluation.summary import row_names, summarise, summarise_clock, summarise_rest
 
     modes = list(dict.fromkeys(result.case.mode for result in results))
     rows: dict[str, dict[str, Any]] = {}

@@ -33,7 +33,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Replay."""
     from daemon import terminal
     from daemon.configuration import load
-    from daemon.offline.replay_outputs import replay_to
+    from daemon.offline.replaying.outputs import replay_to
     from daemon.rows import learned_row, learned_words
 
     if arguments.method == "list":

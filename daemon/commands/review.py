@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any
 from daemon.commands import methods
 
 if TYPE_CHECKING:
-    from daemon.offline.allan import Allan
-    from daemon.offline.mount import MountReview
-    from daemon.offline.reference_errors import ReferenceErrors
-    from daemon.offline.reviewing import Review
-    from daemon.offline.smoothed_moves import SmoothedMove
+    from daemon.offline.alignment.allan import Allan
+    from daemon.offline.reviewing.mount import MountReview
+    from daemon.offline.reviewing.reference_errors import ReferenceErrors
+    from daemon.offline.reviewing.review import Review
+    from daemon.offline.reviewing.smoothed_moves import SmoothedMove
 
 HELP = (
     "Sum up a recording: contents, gaps, faults, sensor health, moves, and the errors against the reference "
@@ -47,11 +47,11 @@ def run(arguments: argparse.Namespace) -> int:
     """Review."""
     from daemon import terminal
     from daemon.errors import UsageError
-    from daemon.offline import allan_report
-    from daemon.offline.allan import allan
-    from daemon.offline.allan_plot import plot_allan
-    from daemon.offline.mount import review_mount
-    from daemon.offline.reviewing import review
+    from daemon.offline.alignment import allan_report
+    from daemon.offline.alignment.allan import allan
+    from daemon.offline.alignment.allan_plot import plot_allan
+    from daemon.offline.reviewing.mount import review_mount
+    from daemon.offline.reviewing.review import review
     from daemon.recording.errors import refuse_same_file
 
     if arguments.method == "list":
@@ -188,7 +188,7 @@ def _print(path: Path, reviewed: Review, mount: MountReview | None) -> None:
 
 def _print_noise(noise: Allan) -> None:
     from daemon import terminal
-    from daemon.offline.allan_report import ACCEL, GYRO, cells, grade_lines, remarks
+    from daemon.offline.alignment.allan_report import ACCEL, GYRO, cells, grade_lines, remarks
 
     lost = f", {noise.missing} samples lost in it" if noise.missing else ""
     terminal.say(

@@ -101,7 +101,7 @@ def _two_state(arguments: argparse.Namespace, settings: Settings | None) -> int:
     from dataclasses import asdict
 
     from daemon import terminal
-    from daemon.offline.tuning_recordings import motions_of, row_of, tuned_on_others
+    from daemon.offline.tuning.recordings import motions_of, row_of, tuned_on_others
     from estimation.tuning.optimisers import BUDGET
     from estimation.tuning.two_state_tuning import tune
 
@@ -114,7 +114,7 @@ def _two_state(arguments: argparse.Namespace, settings: Settings | None) -> int:
     tuned = tune(observed, arguments.form, arguments.method, arguments.objective, arguments.seed, budget)
     others = tuned_on_others(motions, arguments.form, arguments.method, arguments.objective, arguments.seed, budget)
     if arguments.plot is not None:
-        from daemon.offline.tuning_plots import draw_tuning
+        from daemon.offline.tuning.plots import draw_tuning
 
         drawn = draw_tuning(observed, tuned, arguments.plot)
     row = row_of(tuned)
@@ -188,7 +188,7 @@ def _print_two_state(row: dict[str, Any], moves: int) -> None:
 def _estimator(arguments: argparse.Namespace, settings: Settings | None) -> int:
     from daemon import terminal
     from daemon.errors import UsageError
-    from daemon.offline.tuning_estimator import BUDGET, tune_estimator
+    from daemon.offline.tuning.estimator import BUDGET, tune_estimator
 
     if arguments.method != "auto":
         raise UsageError("--method is for the target kf2; of mskf, where each evaluation is a run, only auto is known")
@@ -212,7 +212,7 @@ def _estimator(arguments: argparse.Namespace, settings: Settings | None) -> int:
         _save(arguments, settings, {"estimator": tuned.values}, row)
     drawn: list[Path] = []
     if arguments.plot is not None:
-        from daemon.offline.tuning_plots import draw_search
+        from daemon.offline.tuning.plots import draw_search
 
         drawn = draw_search(tuned.found, arguments.plot)
     if arguments.json:
@@ -239,8 +239,8 @@ def _save(
     arguments: argparse.Namespace, settings: Settings | None, values: dict[str, dict[str, Any]], row: dict[str, Any]
 ) -> None:
     from daemon import terminal
-    from daemon.offline.replay import settings_of
-    from daemon.offline.tuned_configuration import save
+    from daemon.offline.replaying.replay import settings_of
+    from daemon.offline.tuning.saving import save
     from daemon.recording.reader import Recording
 
     in_use = settings or settings_of(Recording(arguments.files[0]))

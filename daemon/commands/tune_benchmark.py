@@ -6,7 +6,7 @@ import argparse
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from daemon.offline.tuning_benchmark import Row
+    from daemon.offline.tuning.benchmark import Row
 
 NOTES = {
     "artificial": (
@@ -26,7 +26,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Compare all of them, or the one that is named."""
     from daemon import terminal
     from daemon.errors import UsageError
-    from daemon.offline.tuning_benchmark import ON_ARTIFICIAL, ON_FUNCTIONS, benchmark, count, summarise
+    from daemon.offline.tuning.benchmark import ON_ARTIFICIAL, ON_FUNCTIONS, benchmark, count, summarise
     from estimation.tuning.optimisers import OPTIMISERS
 
     kind = arguments.benchmark
@@ -50,7 +50,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _draw(kind: str, rows: list[Row], arguments: argparse.Namespace) -> list[Any]:
-    from daemon.offline import tuning_plots
+    from daemon.offline.tuning import plots as tuning_plots
 
     if kind == "functions":
         return tuning_plots.draw_functions(rows, arguments.plot)

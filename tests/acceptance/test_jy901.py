@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from daemon.cli import main
-from daemon.offline.replay import replay
+from daemon.offline.replaying.replay import replay
 from daemon.recording import topics
 from daemon.recording.reader import Recording
 from daemon.recording.topics import Health

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from daemon.offline.replay import settings_of
+from daemon.offline.replaying.replay import settings_of
 from daemon.recording import topics
 from daemon.recording.reader import Recording
 from daemon.recording.topics import Recorded

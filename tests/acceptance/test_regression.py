@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from daemon.offline.replay import replay
+from daemon.offline.replaying.replay import replay
 from daemon.recording import topics
 from daemon.recording.topics import Recorded
 from estimation.records import Estimate, Event, Move

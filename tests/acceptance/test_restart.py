@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from daemon.machine import machine_of
-from daemon.offline.replay import replay
+from daemon.offline.replaying.replay import replay
 from daemon.recording import topics
 from daemon.recording.metadata import LEARNED
 from daemon.recording.reader import Recording

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from daemon.offline.replay import replay
+from daemon.offline.replaying.replay import replay
 from daemon.recording import topics
 from daemon.recording.reader import Recording
 from daemon.recording.topics import Health

@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from daemon.cli import main
-from daemon.offline.grades import load_grades
+from daemon.offline.alignment.grades import load_grades
 from estimation.alignment.attitude import from_angles
 from estimation.alignment.earth import Place
 from tests import broad

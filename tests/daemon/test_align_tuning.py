@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from daemon.cli import main
-from daemon.offline import alignment_benchmark
-from daemon.offline.alignment_tuning import METHODS, records_of, simulation_rows, tune_all
-from daemon.offline.side_by_side import side_by_side
+from daemon.offline.alignment import benchmark as alignment_benchmark
+from daemon.offline.alignment.side_by_side import side_by_side
+from daemon.offline.alignment.tuning import METHODS, records_of, simulation_rows, tune_all
 from estimation.alignment.scenarios import ALIGNMENTS, Alignment
 from estimation.alignment.search import TUNERS
 from estimation.arrays import FloatArray

@@ -15,10 +15,10 @@ import pytest
 
 from daemon.cli import main
 from daemon.configuration import load
-from daemon.offline.alignment import Alignment, align
-from daemon.offline.grades import load_grades
-from daemon.offline.replay import replay
-from daemon.offline.rest import BLOCK_S, Rest
+from daemon.offline.alignment.align import Alignment, align
+from daemon.offline.alignment.grades import load_grades
+from daemon.offline.alignment.rest import BLOCK_S, Rest
+from daemon.offline.replaying.replay import replay
 from daemon.recording.reader import Recording
 from daemon.simulation.demo import demo_settings, run_demo
 from daemon.simulation.virtual import virtual_support

@@ -14,16 +14,16 @@ import pytest
 from scipy.stats import poisson
 
 from daemon.cli import main
-from daemon.offline.evaluation import evaluate, evaluate_case, virtual_support
-from daemon.offline.evaluation_score import Case, Instant, MoveScore, Run, SeedResult, failure_of
-from daemon.offline.evaluation_summary import (
+from daemon.offline.evaluation.runs import evaluate, evaluate_case, virtual_support
+from daemon.offline.evaluation.scenarios import SCENARIOS_OF_EVALUATION
+from daemon.offline.evaluation.score import Case, Instant, MoveScore, Run, SeedResult, failure_of
+from daemon.offline.evaluation.summary import (
     consistent_intervals,
     row_names,
     summarise,
     summarise_clock,
     summarise_rest,
 )
-from daemon.offline.scenarios import SCENARIOS_OF_EVALUATION
 from drivers.virtual.support import PlacedTrajectory
 from estimation.records import CanState, Estimate, Move, MoveKind, Output, Segment, Tier
 from estimation.smoothing.settled_smoother import SmoothedStep
@@ -348,7 +348,7 @@ def test_an_interrupt_ends_the_workers_in_the_midst_of_their_cases() -> None:
 def test_without_matplotlib_a_picture_is_refused_before_anything_is_computed(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("daemon.offline.evaluation_plots.find_spec", lambda _: None)
-    monkeypatch.setattr("daemon.offline.evaluation.evaluate", lambda *_: pytest.fail("computed"))
+    monkeypatch.setattr("daemon.offline.evaluation.plots.find_spec", lambda _: None)
+    monkeypatch.setattr("daemon.offline.evaluation.runs.evaluate", lambda *_: pytest.fail("computed"))
     assert main(["evaluate", "--plot", str(tmp_path)]) == 1
     assert "plots need matplotlib" in capsys.readouterr().err

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from daemon.cli import main
-from daemon.offline.method_evaluation import OURS_INERTIAL, evaluate_methods, summarise_methods
+from daemon.offline.evaluation.methods import OURS_INERTIAL, evaluate_methods, summarise_methods
 from daemon.recording.reader import Recording
 from daemon.recording.topics import MOVES, SETTLED
 from estimation.methods.registry import METHODS

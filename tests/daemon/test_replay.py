@@ -17,7 +17,7 @@ import pytest
 
 from daemon.cli import main
 from daemon.machine import machine_of
-from daemon.offline.replay import replay
+from daemon.offline.replaying.replay import replay
 from daemon.recording import topics
 from daemon.recording.metadata import LEARNED, SNAPSHOT, Preamble, describe
 from daemon.recording.reader import Recording

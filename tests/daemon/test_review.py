@@ -13,7 +13,7 @@ import pytest
 
 from daemon.cli import main
 from daemon.configuration import load
-from daemon.offline.replay import replay
+from daemon.offline.replaying.replay import replay
 from daemon.recording import topics
 from daemon.recording.reader import Recording
 from daemon.recording.topics import RecordedDisplacement

@@ -14,10 +14,10 @@ import pytest
 from scipy import signal
 
 from daemon.cli import main
-from daemon.offline.allan import MARGIN_S, Allan, _longest_rest, allan
-from daemon.offline.allan_plot import plot_allan
-from daemon.offline.allan_report import grade_lines, remarks, row
-from daemon.offline.grades import load_grades
+from daemon.offline.alignment.allan import MARGIN_S, Allan, _longest_rest, allan
+from daemon.offline.alignment.allan_plot import plot_allan
+from daemon.offline.alignment.allan_report import grade_lines, remarks, row
+from daemon.offline.alignment.grades import load_grades
 from daemon.offline.plots import PlotError
 from daemon.recording.metadata import describe
 from daemon.recording.topics import IMU_SAMPLE

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from daemon.offline.smoothed_moves import SmoothedMoves
+from daemon.offline.reviewing.smoothed_moves import SmoothedMoves
 from estimation.records import CanState, Estimate, Move, MoveKind, Segment, Tier
 from estimation.smoothing.settled_smoother import SmoothedStep
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from daemon.machine import machine_of
-from daemon.offline.replay import settings_of
+from daemon.offline.replaying.replay import settings_of
 from daemon.recording import topics
 from daemon.recording.metadata import LEARNED, SNAPSHOT
 from daemon.recording.reader import Recording

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from daemon.offline.grades import load_grades
+from daemon.offline.alignment.grades import load_grades
 from estimation.alignment.attitude import cross_matrix, from_angles, misalignment, rotation, to_angles
 from estimation.alignment.coarse import as_printed, nearest_rotation, triad
 from estimation.alignment.earth import RATE_RAD_S, Place

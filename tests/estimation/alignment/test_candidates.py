@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from daemon.offline.grades import load_grades
+from daemon.offline.alignment.grades import load_grades
 from estimation.alignment.attitude import misalignment
 from estimation.alignment.candidates import Records, each_step
 from estimation.alignment.fine import FineAlignment, error_dynamics

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daemon.offline.tuning_benchmark import optimum_of
+from daemon.offline.tuning.benchmark import optimum_of
 from estimation.tuning import compiled
 from estimation.tuning.artificial import ARTIFICIAL, observed, signal
 from estimation.tuning.observed import FORMS, Form, observed_at_every_step

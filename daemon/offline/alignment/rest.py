@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from daemon.imu.roles import Role
 from daemon.inertial import SampleDecoder
-from daemon.offline.replay import replay, settings_of
+from daemon.offline.replaying.replay import replay, settings_of
 from daemon.recording import topics
 from daemon.recording.errors import RecordingError
 from daemon.recording.reader import Recording

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from daemon.offline.alignment_tuning import AS_PRINTED, AXES, PRINTED_NAME, Tuned
+from daemon.offline.alignment.tuning import AS_PRINTED, AXES, PRINTED_NAME, Tuned
 from daemon.offline.plots import BLUE, GREEN, GREY, ORANGE, VERMILION
 from estimation.alignment.attitude import to_angles
 from estimation.alignment.candidates import Records

@@ -7,7 +7,7 @@ from math import hypot, inf, nan, pi, radians
 
 import numpy as np
 
-from daemon.offline.rest import BLOCK_S, Rest
+from daemon.offline.alignment.rest import BLOCK_S, Rest
 from estimation.alignment.attitude import from_angles, to_angles
 from estimation.alignment.coarse import as_printed, nearest_rotation, triad
 from estimation.alignment.earth import Place

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from daemon.offline.evaluation import pipeline_of, readings_of, records_of, virtual_support
-from daemon.offline.evaluation_score import BRAKING_S, BURST_S, STANDS_S, Case
-from daemon.offline.evaluation_summary import row_names, spread
+from daemon.offline.evaluation.runs import pipeline_of, readings_of, records_of, virtual_support
+from daemon.offline.evaluation.scenarios import SCENARIOS_OF_EVALUATION as SCENARIOS
+from daemon.offline.evaluation.score import BRAKING_S, BURST_S, STANDS_S, Case
+from daemon.offline.evaluation.summary import row_names, spread
 from daemon.offline.parallel import parallel
-from daemon.offline.scenarios import SCENARIOS_OF_EVALUATION as SCENARIOS
 from drivers.virtual.motion import TrueMove
 from drivers.virtual.support import PlacedTrajectory
 from estimation.arrays import FloatArray

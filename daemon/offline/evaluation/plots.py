@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from daemon.offline.evaluation_score import SIGMAS_95, MoveScore, SeedResult
-from daemon.offline.evaluation_summary import row_names
+from daemon.offline.evaluation.score import SIGMAS_95, MoveScore, SeedResult
+from daemon.offline.evaluation.summary import row_names
 from daemon.offline.plots import BLUE, GREY, ORANGE, PlotError
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from daemon.configuration import load
 from daemon.errors import CommandError, UsageError
 from daemon.imu.roles import Role
 from daemon.offline import edited_configuration
-from daemon.offline.alignment import Alignment
+from daemon.offline.alignment.align import Alignment
 from daemon.recording.metadata import program_version
 from daemon.settings import Settings
 from estimation.alignment.verdict import Verdict

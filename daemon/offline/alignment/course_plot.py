@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from daemon.imu.roles import Role
-from daemon.offline.alignment import AXES, Alignment
-from daemon.offline.alignment_plots import SETTLED, around, figure_of, save
+from daemon.offline.alignment.align import AXES, Alignment
+from daemon.offline.alignment.paper_figures import SETTLED, around, figure_of, save
+from daemon.offline.alignment.rest import BLOCK_S
 from daemon.offline.plots import BLUE, ORANGE
-from daemon.offline.rest import BLOCK_S
 from estimation.alignment.verdict import Verdict
 
 _COLOURS: dict[Role, str] = {"main": BLUE, "beside": ORANGE}

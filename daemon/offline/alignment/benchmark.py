@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from daemon.offline.grades import load_grades
+from daemon.offline.alignment.grades import load_grades
 from estimation.alignment.scenarios import ALIGNMENTS, play
 from estimation.alignment.verdict import verdicts
 

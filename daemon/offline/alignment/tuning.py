@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from daemon.offline.alignment_benchmark import PRINTED
-from daemon.offline.grades import load_grades
-from daemon.offline.side_by_side import side_by_side
+from daemon.offline.alignment.benchmark import PRINTED
+from daemon.offline.alignment.grades import load_grades
+from daemon.offline.alignment.side_by_side import side_by_side
 from estimation.alignment.attitude import to_angles
 from estimation.alignment.candidates import Records, each_step
 from estimation.alignment.scenarios import ALIGNMENTS, EXPERIMENT, Alignment, Resting, play

@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-from daemon.offline.method_replay import replay_method
-from daemon.offline.replay import ReplayResult, replay, stream_at_start
-from daemon.offline.step_table import COLUMNS, cells, step_table
+from daemon.offline.replaying.methods import replay_method
+from daemon.offline.replaying.replay import ReplayResult, replay, stream_at_start
+from daemon.offline.replaying.step_table import COLUMNS, cells, step_table
 from daemon.recording import topics
 from daemon.recording.errors import refuse_same_file
 from daemon.recording.reader import Recording

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.offline.replay import replay
+from daemon.offline.replaying.replay import replay
 from daemon.recording.errors import RecordingError
 from daemon.recording.topics import Recorded
 from estimation.alignment.allan import Noise, noise_of

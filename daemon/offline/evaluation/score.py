@@ -10,7 +10,7 @@ from math import nan
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.offline.scenarios import EvaluationScenario
+from daemon.offline.evaluation.scenarios import EvaluationScenario
 from drivers.virtual.motion import TrueMove
 from drivers.virtual.support import VirtualSupport
 from estimation.displacement.sensor import GATE_SIGMAS

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from daemon.offline.parallel import parallel
-from daemon.offline.replay import replay, settings_of
-from daemon.offline.tuning_recordings import References
+from daemon.offline.replaying.replay import replay, settings_of
+from daemon.offline.tuning.recordings import References
 from daemon.recording import topics
 from daemon.recording.errors import RecordingError
 from daemon.recording.reader import Recording

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from daemon.offline.replay import ReplayResult, settings_of
-from daemon.offline.replay import replay as replay_ours
+from daemon.offline.replaying.replay import ReplayResult, settings_of
+from daemon.offline.replaying.replay import replay as replay_ours
 from daemon.recording import topics
 from daemon.recording.errors import RecordingError
 from daemon.recording.reader import Recording

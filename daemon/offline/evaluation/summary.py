@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.offline.evaluation_score import SIGMAS_95, Instant, SeedResult, rms
-from daemon.offline.scenarios import SCENARIOS_OF_EVALUATION as SCENARIOS
+from daemon.offline.evaluation.scenarios import SCENARIOS_OF_EVALUATION as SCENARIOS
+from daemon.offline.evaluation.score import SIGMAS_95, Instant, SeedResult, rms
 
 
 def summarise(results: list[SeedResult], index: int) -> dict[str, Any]:

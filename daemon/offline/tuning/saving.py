@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from daemon.offline import edited_configuration
-from daemon.offline.tuning_recordings import fingerprint
+from daemon.offline.tuning.recordings import fingerprint
 from daemon.recording.metadata import program_version
 from daemon.settings import Settings
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from daemon.offline.replay import replay, settings_of
+from daemon.offline.replaying.replay import replay, settings_of
 from daemon.recording.errors import RecordingError
 from daemon.recording.reader import Recording
 from daemon.recording.topics import Recorded, RecordedDisplacement

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from daemon.errors import CommandError
 from daemon.imu.roles import Role
-from daemon.offline.rest import Rest, rests_since
+from daemon.offline.alignment.rest import Rest, rests_since
 from daemon.service.live_client import first_line
 
 _SLICE_S = 0.5

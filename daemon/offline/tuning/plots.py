@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from daemon.offline.plots import BLUE, GREEN, GREY, ORANGE, VERMILION
-from daemon.offline.tuning_benchmark import BUDGET, Row
+from daemon.offline.tuning.benchmark import BUDGET, Row
 from estimation.arrays import FloatArray
 from estimation.tuning.artificial import ARTIFICIAL, observed
 from estimation.tuning.functions import FUNCTIONS

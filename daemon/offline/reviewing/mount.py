@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from daemon.inertial import SampleDecoder
-from daemon.offline.replay import settings_of
+from daemon.offline.replaying.replay import settings_of
 from daemon.recording import topics
 from daemon.recording.reader import Recording
 from daemon.recording.topics import RecordedDisplacement

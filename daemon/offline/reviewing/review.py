@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from daemon.inertial import SampleDecoder
-from daemon.offline.method_replay import replay_method
-from daemon.offline.reference_errors import ReferenceComparison
-from daemon.offline.replay import ReplayResult, replay
-from daemon.offline.smoothed_moves import SmoothedMoves
-from daemon.offline.step_table import COLUMNS, SMOOTHED_COLUMNS, cells, smoothed_cells, step_table
+from daemon.offline.replaying.methods import replay_method
+from daemon.offline.replaying.replay import ReplayResult, replay
+from daemon.offline.replaying.step_table import COLUMNS, SMOOTHED_COLUMNS, cells, smoothed_cells, step_table
+from daemon.offline.reviewing.reference_errors import ReferenceComparison
+from daemon.offline.reviewing.smoothed_moves import SmoothedMoves
 from daemon.recording.errors import refuse_same_file
 from daemon.recording.reader import Recording
 from daemon.recording.topics import TOPICS, Health, Recorded, RecordedDisplacement

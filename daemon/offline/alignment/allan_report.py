@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from math import degrees
 from typing import Any
 
-from daemon.offline.allan import HELD, Allan, Axis
+from daemon.offline.alignment.allan import HELD, Allan, Axis
 from estimation.alignment.sensor import G_M_S2
 
 SHAKEN = 1.5  # times the white noise, and it is told

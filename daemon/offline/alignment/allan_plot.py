@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from daemon.offline.allan import Allan, Axis
-from daemon.offline.allan_report import ACCEL, GYRO, Units
+from daemon.offline.alignment.allan import Allan, Axis
+from daemon.offline.alignment.allan_report import ACCEL, GYRO, Units
 from daemon.offline.plots import BLUE, GREEN, VERMILION, PlotError
 
 if TYPE_CHECKING:

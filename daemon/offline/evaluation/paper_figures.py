@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from daemon.offline.method_evaluation import Played, play
+from daemon.offline.evaluation.methods import Played, play
 from daemon.offline.plots import BLUE, GREEN, GREY, ORANGE, VERMILION
 from estimation.arrays import FloatArray
 from estimation.methods.batch import Course

@@ -14,10 +14,10 @@ from math import nan
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.offline.evaluation_score import Case, MoveScore, Run, SeedResult, clock_error_mm, failure_of
+from daemon.offline.evaluation.scenarios import SCENARIOS_OF_EVALUATION as SCENARIOS
+from daemon.offline.evaluation.scenarios import EvaluationScenario
+from daemon.offline.evaluation.score import Case, MoveScore, Run, SeedResult, clock_error_mm, failure_of
 from daemon.offline.parallel import parallel
-from daemon.offline.scenarios import SCENARIOS_OF_EVALUATION as SCENARIOS
-from daemon.offline.scenarios import EvaluationScenario
 from drivers.adis16448.registers import ACCEL_LSB, GYRO_LSB_DPS
 from drivers.virtual.adis16448_signal import HISTORY, FilterPath
 from drivers.virtual.controller import Observation

@@ -1,0 +1,1 @@
+"""Alignment of resting sensors: recorded, live, virtual; their noise by Allan deviation."""

@@ -1,0 +1,1 @@
+"""Tuning of filters on recordings and on problems with a known answer."""
