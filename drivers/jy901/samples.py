@@ -24,29 +24,39 @@ class SampleReader:
         self._skipped = 0  # bytes and halves before the last sample
         self._accel: Packet | None = None
         self._accel_ns = 0
+        self._began = False
         self._last: tuple[object, object] = (None, None)
 
     def feed(self, data: bytes, t_ns: int) -> list[Reading]:
         """Samples that these bytes complete; `t_ns`: when the last of the bytes arrived.
 
-        A packet's time is that of its first byte, counted back over the bytes behind it at the line's pace.
+        A packet's time is that of its first byte, counted back over the bytes behind it at the line's pace. Samples
+        that come all at once have waited: they were taken a period apart.
         """
-        packets = self.parser.feed(data)
-        end = self.parser.fed
+        pairs, period_ns = self._pairs(self.parser.feed(data), t_ns), self.clock.period_ns
         readings = []
+        for behind, (accel, gyro, came_ns, was_disturbed) in zip(range(len(pairs) - 1, -1, -1), pairs, strict=True):
+            waited_since_ns = pairs[-1][2] - round(behind * period_ns)
+            taken_ns = self.clock.time(min(came_ns, waited_since_ns), was_disturbed=was_disturbed)
+            readings.append(Reading(taken_ns, accel.words, gyro.words, self._is_frozen(accel, gyro)))
+        return readings
+
+    def _pairs(self, packets: list[Packet], t_ns: int) -> list[tuple[Packet, Packet, int, bool]]:
+        """ACCEL and GYRO of each group, when the first came, and whether bytes that belong to none came before."""
+        pairs, end = [], self.parser.fed
         for packet in packets:
             if packet.kind is Kind.ACCEL:
                 self.halves += self._accel is not None
-                self._accel, self._accel_ns = packet, t_ns - round((end - packet.at) * self._byte_ns)
+                self._accel, self._began = packet, True
+                self._accel_ns = t_ns - round((end - packet.at) * self._byte_ns)
             elif packet.kind is Kind.GYRO:
-                if self._accel is None:
-                    self.halves += self._accel_ns > 0  # what came before we listened is no loss
-                    continue
                 accel, self._accel = self._accel, None
+                if accel is None:
+                    self.halves += self._began  # what came before we listened is no loss
+                    continue
                 skipped, self._skipped = self._skipped, self.parser.skipped + self.halves
-                t_taken_ns = self.clock.time(self._accel_ns, was_disturbed=self._skipped > skipped)
-                readings.append(Reading(t_taken_ns, accel.words, packet.words, self._is_frozen(accel, packet)))
-        return readings
+                pairs.append((accel, packet, self._accel_ns, self._skipped > skipped))
+        return pairs
 
     def _is_frozen(self, accel: Packet, gyro: Packet) -> bool:
         words = (accel.words[:3], gyro.words[:3])

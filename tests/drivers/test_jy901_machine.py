@@ -176,6 +176,7 @@ def test_a_reader_that_was_held_up_squeezes_no_samples(stall_s: float) -> None:
     assert min(steps) > 0.7 / 200
     assert max(steps) < 0.06 + stall_s
     assert abs(bench.readings[-1].t_ns * 1e-9 - bench.now_s) < 0.02
+    assert bench.sensor.counters.missed < 5  # they waited; nothing was lost
     assert bench.sensor.counters.samples > 0.97 * 200 * (bench.now_s - bench.identities[0].t_ns * 1e-9)
 
 
