@@ -25,6 +25,7 @@ from drivers.adis16448.counters import Counters
 from drivers.adis16448.identity import Identity
 from drivers.clock import SystemClock
 from drivers.condition import OK, Wellness
+from drivers.jy901.identity import Jy901Identity
 from estimation.records import TimeKind
 
 PATIENCE_S = 30.0
@@ -206,3 +207,19 @@ def test_a_full_buffer_drops_the_oldest_samples_counts_them_and_keeps_who_they_w
     assert 92 <= len(kept) <= 100
     assert outbox.dropped == 202 - len(kept)
     assert outbox.take(0.0) == []
+
+
+def test_a_jy901_is_read_in_a_process_too(blocks: list[Block]) -> None:
+    chosen = Settings.model_validate(
+        {"imu": {"acquisition": "process"}, "jy901": {"use": "instead", "transport": "virtual"}}
+    )
+    process = ImuProcess(chosen, SystemClock().now_ns(), blocks.append)
+    process.start()
+    try:
+        until(lambda: sum(map(len, blocks)) > 100)
+        until(lambda: process.counters.samples > 0)
+        assert isinstance(blocks[0][0], Jy901Identity)
+        assert process.condition.word in (Wellness.OK, Wellness.ILL)
+        assert process.own_counters()["process_restarts"] == 0
+    finally:
+        process.stop()
