@@ -167,6 +167,7 @@ class Application:
         self.stop()
 
     async def _shut_down(self, tasks: list[asyncio.Task[None]]) -> None:
+        self._health_book.is_ending = True
         for link in (self._imu, self._beside):
             if link is not None:
                 await asyncio.to_thread(link.stop)

@@ -40,6 +40,7 @@ class HealthBook:
     """Remembers since when each part is as it is, and logs the changes, not too often."""
 
     entries: dict[str, _Entry] = field(default_factory=dict)
+    is_ending: bool = False  # the program closes its parts on purpose: nothing to tell
 
     def note(self, part: str, condition: Condition, now_s: float) -> dict[str, Any]:
         """Take in how a part is now; returns the row for the health record."""
@@ -62,7 +63,7 @@ class HealthBook:
         return max((e.condition.word for e in self.entries.values()), key=_ORDER.index, default=Wellness.OK)
 
     def _tell(self, part: str, entry: _Entry, now_s: float) -> None:
-        if kind_of(entry.condition) == kind_of(entry.logged) or now_s - entry.logged_s < LOG_EVERY_S:
+        if kind_of(entry.condition) == kind_of(entry.logged) or now_s - entry.logged_s < LOG_EVERY_S or self.is_ending:
             return
         condition = entry.condition
         since_s = max(entry.logged_s, entry.met_s)
