@@ -61,7 +61,7 @@ def run_group(built: Built, group: str, folder: Path) -> list[str]:
     if group == "main_path" and not failed:
         (recording,) = (folder / group / "results").glob("*.mcap")
         difference_mm = largest_difference_mm(recording)
-        print(f"replayed here: at most {difference_mm:.2g} mm beside the machine, {TOLERANCE_MM} mm allowed")
+        print(f"replayed here: at most {difference_mm:.2g} mm beside the machine, {TOLERANCE_MM:g} mm allowed")
         if difference_mm > TOLERANCE_MM:
             failed.append("replay on the host")
     return failed
