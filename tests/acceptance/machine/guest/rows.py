@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from typing import Any
+from collections.abc import Callable
 
 from tests.acceptance.machine.guest.kit import PATIENCE_S, RESULTS, Journal, run, status, wait_for
 
@@ -21,29 +21,30 @@ def good_samples() -> int:
 def good_readings() -> int:
     """Displacements that were taken from the bus; -1 while no daemon answers."""
     found = status().get("displacement")
-    return int(found["received"]) if found else -1
+    bad = ("malformed", "checksum", "repeated", "invalid", "out_of_range")
+    return int(found["frames"] - sum(found[kind] for kind in bad)) if found else -1
 
 
-def seconds_to_good_data(count: Any = good_samples, patience_s: float = PATIENCE_S) -> float:
+def seconds_to_good_data(count: Callable[[], int] = good_samples, patience_s: float = PATIENCE_S) -> float:
     """Seconds of the machine until good data come again; a new daemon counts from zero."""
     start_s, last = time.monotonic(), count()
 
     def comes() -> bool:
         nonlocal last
         now = count()
-        if now < last:
+        if last < 0 or now < last:
             last = now
-        return bool(now >= last + _ENOUGH and last >= 0)
+        return last >= 0 and now >= last + _ENOUGH
 
     wait_for("good data", comes, patience_s)
     return time.monotonic() - start_s
 
 
-def no_good_data_for(seconds: float, count: Any = good_samples) -> bool:
+def no_good_data_for(seconds: float, count: Callable[[], int] = good_samples) -> bool:
     """Whether none came in the next seconds."""
     before = count()
     time.sleep(seconds)
-    return bool(count() <= before + 1)
+    return count() <= before + 1
 
 
 def row(name: str, journal: Journal, seconds: float | None) -> None:

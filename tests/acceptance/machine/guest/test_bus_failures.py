@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import subprocess
+import time
 from collections.abc import Iterator
 
 import can
@@ -23,7 +24,7 @@ from tests.acceptance.machine.guest.kit import (
 )
 from tests.acceptance.machine.guest.rows import good_readings, row, seconds_to_good_data
 
-BUS_OFF = 0x40  # linux/can/error.h
+BUS_OFF, BUS_ERROR, RESTARTED = 0x40, 0x80, 0x100  # linux/can/error.h
 FOREIGN = 20_000  # frames, two thousand a second
 
 
@@ -69,12 +70,24 @@ def test_the_interface_is_deleted_and_made_again(journal: Journal) -> None:
     row("vcan0 deleted and made again", journal, seconds_to_good_data(good_readings))
 
 
-def test_error_frames_and_bus_off_are_told(journal: Journal) -> None:
+def test_bus_off_is_told(journal: Journal) -> None:
+    """As with a real controller nothing else comes in meanwhile: the virtual support stands still."""
+    run("systemctl", "kill", "--signal=STOP", "machine-support")
     send(can.Message(is_error_frame=True, arbitration_id=BUS_OFF, data=bytes(8)))
-    journal.wait_for("bus-off")
-    # A controller that the kernel restarts says so (CAN_ERR_RESTARTED).
-    send(can.Message(is_error_frame=True, arbitration_id=0x100, data=bytes(8)))
+    journal.wait_for("vcan0 is bus-off")
+    run("systemctl", "kill", "--signal=CONT", "machine-support")
+    send(can.Message(is_error_frame=True, arbitration_id=RESTARTED, data=bytes(8)))
     row("bus-off", journal, seconds_to_good_data(good_readings))
+
+
+def test_error_frames_are_told(journal: Journal) -> None:
+    """Fifty a second, as of a wire that is loose."""
+    with can.Bus(interface="socketcan", channel="vcan0", fd=True, ignore_config=True) as bus:
+        for _ in range(250):
+            bus.send(can.Message(is_error_frame=True, arbitration_id=BUS_ERROR, data=bytes(8)))
+            time.sleep(0.02)
+    journal.wait_for("error frames")
+    row("fifty error frames a second", journal, seconds_to_good_data(good_readings))
     assert sum(status()["can"]["error_kinds"].values()) > 0
 
 
