@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import time
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 
 from tests.acceptance.machine.build import Built
@@ -40,7 +41,9 @@ class Outcome:
     duration_s: float
 
 
-def run_in_machine(built: Built, share: Path, timeout_s: float, disk: Path | None = None) -> Outcome:
+def run_in_machine(
+    built: Built, share: Path, timeout_s: float, disk: Path | None = None, began: datetime | None = None
+) -> Outcome:
     """Run `share/command` in a fresh machine that sees `share` as /share.
 
     Args:
@@ -48,13 +51,24 @@ def run_in_machine(built: Built, share: Path, timeout_s: float, disk: Path | Non
         share: folder of the host; the command's results stay there.
         timeout_s: of the whole run.
         disk: overlay of `overlay()` that outlasts the run; without it the disk forgets everything.
+        began: what the machine's clock says when it starts; now by default.
     """
     output, console, journal = share / "output.txt", share / "console.txt", share / "journal.txt"
     for old in (output, console, journal):
         old.unlink(missing_ok=True)
     drive = f"file={built.image},format=raw,snapshot=on" if disk is None else f"file={disk},format=qcow2,snapshot=off"
     command = ["qemu-system-x86_64", *_HARDWARE, "-kernel", str(built.kernel), "-initrd", str(built.initramfs)]
-    command += ["-append", _KERNEL_LINE, "-drive", f"{drive},if=virtio,cache=unsafe", "-serial", f"file:{console}"]
+    clock = (began or datetime.now(UTC)).strftime("%Y-%m-%dT%H:%M:%S")
+    command += [
+        "-rtc",
+        f"base={clock},clock=vm",
+        "-append",
+        _KERNEL_LINE,
+        "-drive",
+        f"{drive},if=virtio,cache=unsafe",
+        "-serial",
+        f"file:{console}",
+    ]
     command += ["-virtfs", f"local,path={share},mount_tag=share,security_model=none,multidevs=remap"]
     started_s = time.monotonic()
     try:
