@@ -39,8 +39,12 @@ def installed() -> None:
     RECORDINGS.mkdir(parents=True)
     run("truncate", "--size=32M", DISK)
     run("mkfs.ext4", "-q", DISK)
-    run("mount", "-o", "loop", DISK, RECORDINGS)
+    mount()
     run("chown", "-R", "ramstroke:ramstroke", RECORDINGS.parent)
+
+
+def mount() -> None:
+    run("mount", "-o", "loop,errors=remount-ro", DISK, RECORDINGS)
 
 
 @pytest.fixture
@@ -65,7 +69,7 @@ def test_devices_may_come_after_the_service(journal: Journal) -> None:
 def test_a_full_disk_costs_the_recording_only(journal: Journal) -> None:
     wait_for("a recorder that is well", lambda: state_of("recorder") == "ok")
     run("dd", "if=/dev/zero", f"of={FILLER}", "bs=64k", code=1)  # to the last block
-    journal.wait_for("recorder: ")
+    journal.wait_for("No space left on device; check")
     seconds_to_good_data()
     FILLER.unlink()
     row("recording disk full", journal, _until_recorded())
@@ -73,12 +77,14 @@ def test_a_full_disk_costs_the_recording_only(journal: Journal) -> None:
 
 def test_a_disk_that_turns_read_only_costs_the_recording_only(journal: Journal) -> None:
     wait_for("a recorder that is well", lambda: state_of("recorder") == "ok")
-    # What the kernel does after an error of the disk; `mount` refuses it while a file is open.
-    Path("/proc/sysrq-trigger").write_text("u")
-    journal.wait_for("recorder: ")
+    # As after an error of the disk; `mount` refuses it while a file is open.
+    (device,) = Path("/sys/fs/ext4").glob("loop*")
+    (device / "trigger_fs_error").write_text("for the test")
+    journal.wait_for("Read-only file system; check")
     seconds_to_good_data()
-    for folder in ("/", RECORDINGS):
-        run("mount", "-o", "remount,rw", folder)
+    # Another card in the slot.
+    run("umount", RECORDINGS)
+    mount()
     row("recording disk read-only", journal, _until_recorded())
 
 
