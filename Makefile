@@ -1,5 +1,6 @@
 # make demo    one cycle of the virtual support, measured; results in demo/
 # make test    all tests
+# make acceptance  the installed service on a real kernel: spidev, GPIO, SocketCAN, systemd (Debian 12, as root)
 # make coverage  the same with branch coverage (half as fast)
 # make check   ruff and mypy
 # make bench   speed and accuracy figures; nothing is asserted
@@ -10,13 +11,16 @@ VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/installed
 
-.PHONY: demo test coverage check bench docs faults rebase clean
+.PHONY: demo test acceptance coverage check bench docs faults rebase clean
 
 demo: $(INSTALLED)
 	$(BIN)/ramstroke demo --out demo
 
 test: $(INSTALLED)
 	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadscope
+
+acceptance: $(INSTALLED)
+	$(BIN)/python -m tests.acceptance.machine.acceptance
 
 coverage: $(INSTALLED)
 	$(BIN)/python -m pytest --cov --cov-report=term:skip-covered

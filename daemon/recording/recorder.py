@@ -89,7 +89,7 @@ class Recorder:
         """Begin the first file; does nothing when the settings say not to record."""
         if not self._settings.enabled:
             return
-        self._sync = BackgroundSync(self._sync_failed)
+        self._sync = BackgroundSync(self._series.sync_failed)
         self._order_file()
         self._accepting = True
         self._thread.start()
@@ -136,10 +136,6 @@ class Recorder:
     def _request_sync(self, descriptor: int) -> None:
         if self._sync is not None:
             self._sync.request(descriptor)
-
-    def _sync_failed(self, error: OSError) -> None:
-        self.counters.sync_errors += 1
-        self.counters.last_error = f"fdatasync: {error.strerror or error}"
 
     def _run(self) -> None:
         stopping = False

@@ -90,6 +90,7 @@ class FileSeries:
         self._retry_ns = 0
         self._sync_ns = 0
         self._rotate_ns = 0
+        self._read_only: OSError | None = None  # a sync has found that
         self._said = ""  # the last complaint, so that a full disk is not reported every second
 
     def begin(self, preamble: Preamble) -> None:
@@ -123,9 +124,19 @@ class FileSeries:
         except OSError as error:
             self._fail(error)
 
+    def sync_failed(self, error: OSError) -> None:
+        """Called from any thread. A disk that turned read-only takes writes all the same; only this tells."""
+        self.counters.sync_errors += 1
+        self.counters.last_error = f"fdatasync: {error.strerror or error}"
+        if error.errno == errno.EROFS:
+            self._read_only = error
+
     def flush(self) -> None:
         """Hand everything to the kernel; now and then sync, tidy up, and see whether a new file is due."""
         now_ns = self._clock.now_ns()
+        error, self._read_only = self._read_only, None
+        if error is not None and self._path is not None:
+            self._fail(error)
         if self._path is None:
             self.wants_file = now_ns >= self._retry_ns
             return

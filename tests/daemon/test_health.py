@@ -44,6 +44,14 @@ def test_since_is_the_time_of_the_last_change_of_state_not_of_numbers() -> None:
     assert book.note("can", DOWN, 40.0)["since_s"] == 40.0
 
 
+def test_what_is_closed_at_the_end_is_not_logged(caplog: pytest.LogCaptureFixture) -> None:
+    book = HealthBook()
+    book.note("can", OK, 10.0)
+    book.is_ending = True
+    assert book.note("can", DOWN, 30.0)["state"] == "waiting"
+    assert texts(caplog) == []
+
+
 def test_each_change_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
     book = HealthBook()

@@ -327,3 +327,23 @@ def test_a_program_that_is_not_installed_has_no_version(monkeypatch: pytest.Monk
 
 def test_the_free_space_is_that_of_the_disk(tmp_path: Path) -> None:
     assert 0 < retention.free_bytes(tmp_path) <= os.statvfs(tmp_path).f_blocks * os.statvfs(tmp_path).f_frsize
+
+
+def test_a_disk_that_turned_read_only_is_known_from_the_sync_alone(tmp_path: Path) -> None:
+    """After an error of the disk the kernel takes writes that it never writes down."""
+    rig = Rig(tmp_path)
+    rig.series.begin(HEAD)
+    rig.add(5)
+    rig.series.flush()
+    rig.series.sync_failed(OSError(errno.EIO, "Input/output error"))
+    rig.series.flush()
+    assert rig.series.counters.file
+    rig.series.sync_failed(OSError(errno.EROFS, "Read-only file system"))
+    rig.add(3)
+    rig.series.flush()
+    counters = rig.series.counters
+    assert (counters.file, counters.sync_errors, counters.dropped_no_disk) == ("", 2, 3)
+    assert counters.last_error == f"cannot write to {tmp_path}: Read-only file system"
+    assert rig.numbers(rig.files()[0]) == [0, 1, 2, 3, 4]
+    rig.series.begin(HEAD)
+    assert counters.file

@@ -1,0 +1,3 @@
+"""The tests of `guest/` run in the machine only."""
+
+collect_ignore = ["guest"]

@@ -1,0 +1,162 @@
+"""What the tests in the machine share: devices, service, journal."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+from daemon.errors import CommandError
+from daemon.service.live_client import first_line
+
+T = TypeVar("T")
+
+SHARE = Path("/share")
+RESULTS = SHARE / "results"
+HERE = Path(__file__).parent
+RAMSTROKE = "/opt/ramstroke/bin/ramstroke"
+CONFIG = Path("/etc/ramstroke/ramstroke.toml")
+RECORDINGS = Path("/var/lib/ramstroke/recordings")
+LIVE = Path("/run/ramstroke/live.sock")
+FAULT = Path("/run/machine-support/fault")
+ACCOUNT = Path("/run/machine-support/account.json")
+# Of an emulated machine that shares its processors; no test measures time.
+PATIENCE_S = 120.0
+
+# Only what an emulated processor needs: more time.
+_DROP_IN = "[Service]\nWatchdogSec=30\nTimeoutStartSec=300\nTimeoutStopSec=120\n"
+
+
+def run(*command: str | Path, code: int = 0) -> str:
+    """Run a program that must end with `code`; what it said on standard output."""
+    ended = subprocess.run([str(word) for word in command], capture_output=True, text=True, check=False)
+    assert ended.returncode == code, f"{command}: {ended.returncode}\n{ended.stdout}{ended.stderr}"
+    return ended.stdout
+
+
+def wait_for(what: str, probe: Callable[[], T], patience_s: float = PATIENCE_S) -> T:
+    """The first answer that counts as true."""
+    deadline_s = time.monotonic() + patience_s
+    while not (found := probe()):
+        if time.monotonic() > deadline_s:
+            raise AssertionError(f"not within {patience_s:.0f} s: {what}")
+        time.sleep(0.5)
+    return found
+
+
+def load_devices() -> None:
+    """The SPI port and the data-ready line appear."""
+    run("modprobe", "spi-user")
+    run("udevadm", "settle")
+
+
+def add_bus() -> None:
+    """vcan0 appears, and is up."""
+    run("modprobe", "-a", "vcan", "can-raw")
+    run("ip", "link", "add", "dev", "vcan0", "type", "vcan")
+    run("ip", "link", "set", "vcan0", "up")
+
+
+def start_support() -> None:
+    """The virtual support, which begins to move ten seconds after it was first asked something."""
+    script = HERE.parent / "support.py"
+    python = "/opt/ramstroke/bin/python"
+    unit = ["systemd-run", "--quiet", "--unit=machine-support", "--property=Restart=no", f"--working-directory={SHARE}"]
+    run(*unit, python, "-P", script, CONFIG)
+
+
+def exchange_support() -> None:
+    """Another one takes its place, which begins from rest."""
+    Path("/var/lib/machine-support/began").unlink()
+    start_support()
+
+
+def install_service() -> None:
+    """As docs/installation.md says, with the configuration of this folder."""
+    CONFIG.parent.mkdir(parents=True, exist_ok=True)
+    shutil.copy(HERE / "ramstroke.toml", CONFIG)
+    units = Path("/etc/systemd/system")
+    shutil.copy(SHARE / "systemd" / "ramstroke.service", units)
+    (units / "ramstroke.service.d").mkdir(exist_ok=True)
+    (units / "ramstroke.service.d" / "slow-machine.conf").write_text(_DROP_IN)
+    run("systemctl", "daemon-reload")
+
+
+def start_service() -> None:
+    """Returns when it says READY."""
+    run("systemctl", "start", "ramstroke")
+
+
+def properties(*names: str) -> dict[str, str]:
+    """What systemd says of the service."""
+    said = run("systemctl", "show", "ramstroke", f"--property={','.join(names)}")
+    return dict(line.split("=", 1) for line in said.splitlines())
+
+
+def status() -> dict[str, Any]:
+    """The daemon's own; empty while none answers."""
+    try:
+        return first_line(LIVE)
+    except CommandError:
+        return {}
+
+
+def state_of(part: str) -> str:
+    """The word for a part of the daemon."""
+    found = status().get(part)
+    return str(found["state"]) if found else "gone"
+
+
+def account() -> dict[str, int]:
+    """What the virtual support counted."""
+    counts: dict[str, int] = json.loads(ACCOUNT.read_text())
+    return counts
+
+
+def set_fault(words: str) -> None:
+    """Something goes wrong with the sensor from now on; nothing if empty."""
+    if not words:
+        FAULT.unlink(missing_ok=True)
+        return
+    partial = FAULT.with_suffix(".partial")
+    partial.write_text(words)
+    partial.replace(FAULT)
+
+
+class Journal:
+    """The service's lines from now on, as one program follows them: to ask again and again costs too much here."""
+
+    def __init__(self) -> None:
+        self._path = Path(tempfile.mkstemp(prefix="journal-")[1])
+        words = ["journalctl", "--follow", "--lines=0", "--output=cat", "--unit=ramstroke"]
+        with self._path.open("w") as file:
+            self._follower = subprocess.Popen(words, stdout=file)
+        time.sleep(2.0)  # until it follows
+
+    def lines(self) -> list[str]:
+        """What program and systemd said since."""
+        return self._path.read_text().splitlines()
+
+    def wait_for(self, piece: str, patience_s: float = PATIENCE_S) -> str:
+        """The first line with that piece."""
+
+        def found() -> str:
+            return next((line for line in self.lines() if piece in line), "")
+
+        return wait_for(f'"{piece}" in the journal', found, patience_s)
+
+    def close(self) -> None:
+        """End the following."""
+        self._follower.terminate()
+        self._follower.wait()
+
+
+def keep(path: Path) -> None:
+    """Copy a file to the host."""
+    RESULTS.mkdir(exist_ok=True)
+    shutil.copy(path, RESULTS)
