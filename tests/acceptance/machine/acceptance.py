@@ -25,6 +25,7 @@ GROUPS = {
     "power_cut": ("power_cut", "after_power_cut"),
     "sensor": ("sensor_failures",),
     "main_path": ("main_path",),
+    "installation": ("installation",),
     "bus": ("bus_failures",),
 }
 TIMEOUT_S = 900.0

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gzip
 import os
-import re
 import shutil
 import sys
 from pathlib import Path
@@ -53,7 +52,7 @@ _MASKED = (
 
 
 def make_root(root: Path, kernel: Kernel) -> None:
-    """Debian, users and devices as the documentation says, modules, and the command's door."""
+    """Debian, modules, and the command's door; the installer does the rest there."""
     run(
         ["mmdebstrap", "--quiet", "--variant=minbase", "--mode=root", f"--include={_PACKAGES}"]
         + [f"--dpkgopt=path-exclude=/usr/share/{name}/*" for name in ("man", "doc", "locale")]
@@ -67,14 +66,6 @@ def make_root(root: Path, kernel: Kernel) -> None:
     for path in kernel.modules.glob("modules.*"):
         shutil.copy(path, modules)
     _in(root, "depmod", kernel.version)
-
-    _in(root, "useradd", "--system", "--user-group", "--shell", "/usr/sbin/nologin", "ramstroke")
-    for group in ("spi", "gpio"):
-        _in(root, "groupadd", "--system", group)
-    _in(root, "usermod", "-aG", "spi,gpio", "ramstroke")
-    installation = (CHECKOUT / "docs" / "installation.md").read_text()
-    rules = re.findall(r'^SUBSYSTEM=="(?:spidev|gpio)".*$', installation, re.MULTILINE)
-    (root / "etc/udev/rules.d/60-ramstroke.rules").write_text("\n".join(rules) + "\n")
 
     (root / "etc" / "fstab").write_text("")
     for unit in _MASKED:

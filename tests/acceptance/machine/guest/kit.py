@@ -80,11 +80,10 @@ def install_service() -> None:
     """As docs/installation.md says, with the configuration of this folder."""
     CONFIG.parent.mkdir(parents=True, exist_ok=True)
     shutil.copy(HERE / "ramstroke.toml", CONFIG)
-    units = Path("/etc/systemd/system")
-    shutil.copy(SHARE / "systemd" / "ramstroke.service", units)
-    (units / "ramstroke.service.d").mkdir(exist_ok=True)
-    (units / "ramstroke.service.d" / "slow-machine.conf").write_text(_DROP_IN)
-    run("systemctl", "daemon-reload")
+    slow = Path("/etc/systemd/system/ramstroke.service.d/slow-machine.conf")
+    slow.parent.mkdir(exist_ok=True)
+    slow.write_text(_DROP_IN)
+    run(RAMSTROKE, "install-service")
 
 
 def start_service() -> None:
