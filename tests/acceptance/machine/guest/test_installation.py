@@ -58,7 +58,7 @@ def test_doctor_finds_a_healthy_computer_before_the_service_starts() -> None:
     (RESULTS / "doctor.json").write_text(ended.stdout)
     found = {check["name"]: check for check in json.loads(ended.stdout)["checks"]}
     assert ended.returncode in (0, 1), ended.stderr  # an emulated machine is slow enough to be called ill
-    for name in ("configuration", "sensor", "self-test", "CAN interface"):
+    for name in ("configuration", "sensor", "self-test", "data-ready line", "CAN interface", "recording folder"):
         assert found[name]["verdict"] == "ok", found[name]
     (RESULTS / "doctor.txt").write_text(run_any(RAMSTROKE, "doctor"))
 
