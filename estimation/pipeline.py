@@ -96,10 +96,11 @@ class Pipeline:
         self.on_settled: Callable[[Estimate], object] = lambda _: None  # called while the settled track stands there
 
     @staticmethod
-    def prepare() -> None:
-        """Do beforehand what would delay the first seconds of a live source."""
-        StepBank(SAMPLES_PER_STEP / NOMINAL_RATE_HZ).prepare()
-        prepare_bursts(SAMPLES_PER_STEP / NOMINAL_RATE_HZ)
+    def prepare(rate_hz: float = NOMINAL_RATE_HZ) -> None:
+        """Do beforehand what would delay the first seconds of a live source of about that sample rate."""
+        dt_s = _on_grid(SAMPLES_PER_STEP / rate_hz)
+        StepBank(dt_s).prepare()
+        prepare_bursts(dt_s)
 
     # --- snapshot ---------------------------------------------------------------------------------------------
 

@@ -116,7 +116,7 @@ class Application:
         self._loop = loop = asyncio.get_running_loop()
         for number in (signal.SIGTERM, signal.SIGINT):
             loop.add_signal_handler(number, self.stop)
-        self._stream.pipeline.prepare()
+        self._stream.pipeline.prepare(self._settings.nominal_rate_hz)
         await self._live.start()
         self._recorder.start()
         relay = LogRelay(lambda line: self._recorder.write(topics.LOG, line))

@@ -130,7 +130,7 @@ def replay(
     smoother = None if smoothed is None else SettledSmoother(stream.pipeline, smoothed)
     first_ns = last_ns = None
     count = 0
-    stream.pipeline.prepare()
+    stream.pipeline.prepare(stream.settings.nominal_rate_hz)
     began = time.perf_counter()
     for topic, record in recording.messages((*INPUTS, *_COMPARED) if state is None else INPUTS):
         count += 1
