@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 from daemon.doctor import adis16448, can, daemon_health, disk, jy901, machine, memory, program, service
 from daemon.doctor.patient import Patient
@@ -28,5 +29,5 @@ def examine(patient: Patient) -> list[Check]:
     checks: list[Check] = []
     for area, look in areas:
         patient.say(f"looking at {area}")
-        checks += guarded(area, lambda look=look: look(patient))  # type: ignore[misc]
+        checks += guarded(area, partial(look, patient))
     return checks
