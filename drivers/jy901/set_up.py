@@ -70,6 +70,7 @@ def set_up(port: SerialPort, settings: Jy901Settings, clock: Clock) -> Generator
     before = yield from _registers(port, CONTENT, clock)
     if before is None:
         raise Jy901Error("the JY901 sends, but does not answer", "check the wire from the computer's TX to its RX")
+    filter_before = yield from _registers(port, BANDWIDTH, clock)
     code = RATE_CODES[settings.rate_hz]
     yield from _write(port, settings, code, clock)
     baud = at
@@ -84,9 +85,11 @@ def set_up(port: SerialPort, settings: Jy901Settings, clock: Clock) -> Generator
     _insist(after, code)
     if settings.rate_hz == 200 and not (yield from _goes_on(port, clock)):
         # Firmware of before counts otherwise: what means 200 Hz today means "one group and no more" there.
-        yield from _write(port, settings, OLD_200_HZ, clock)
+        code = OLD_200_HZ
+        yield from _write(port, settings, code, clock)
     version = yield from _registers(port, VERSION, clock)
-    was_changed = at != settings.baud or before[:2] != (WANTED, code)
+    stood = (at, *before[:2], None if filter_before is None else filter_before[0])
+    was_changed = stood != (settings.baud, WANTED, code, BANDWIDTH_CODES[bandwidth_hz(settings)])
     if settings.save and was_changed:
         port.write(UNLOCK)
         yield from _pause(port, COMMAND_S, clock)

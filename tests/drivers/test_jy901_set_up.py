@@ -49,6 +49,18 @@ def test_saved_when_wanted_and_only_once() -> None:
     assert bench.part.saves == 1  # the part's memory wears out
 
 
+@pytest.mark.parametrize("old", [False, True])
+def test_the_parts_memory_is_written_when_any_setting_is_another_and_then_no_more(old: bool) -> None:
+    bench = Bench(save=True, old=old)
+    for _ in range(3):
+        finished(set_up(bench.port(), bench.settings, bench.clock))
+        bench.part.power_cycle(bench.clock.now_ns())
+    assert bench.part.saves == 1
+    bench.part.registers[BANDWIDTH] = bench.part.saved[BANDWIDTH] = 0
+    finished(set_up(bench.port(), bench.settings, bench.clock))
+    assert (bench.part.saves, bench.part.saved[BANDWIDTH]) == (2, 2)  # 94 Hz
+
+
 def test_firmware_of_before_counts_its_rates_otherwise() -> None:
     bench = Bench(old=True)
     finished(set_up(bench.port(), bench.settings, bench.clock))
