@@ -111,6 +111,7 @@ class CanBus:
                 controller_state=self.controller_state,
                 transmit_errors=self.errors.transmit_errors,
                 receive_errors=self.errors.receive_errors,
+                bus_offs=self.errors.recent_bus_offs(now_ns),
                 nobody_acknowledges=self._intake.nobody_acknowledges(now_ns),
                 error_frames=self.errors.in_last_second(now_ns),
                 last_error=self.errors.last,
@@ -287,7 +288,7 @@ class CanBus:
             opened.note_frames()
         else:
             try:
-                if opened.check():
+                if opened.check(self.counters.sent):
                     self._intake.note_filtered(now_ns)
             except InterfaceFault as fault:
                 raise self._failed(fault) from fault

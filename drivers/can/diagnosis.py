@@ -10,6 +10,7 @@ from drivers.condition import OK, Condition, Wellness
 
 MANY_ERROR_FRAMES = 10  # in one second; a good bus has none
 
+_SHORT = "look for a short circuit of CANH and CANL or a wrong bit rate"
 _CABLE = "check CANH, CANL, the 120 ohm resistors at both ends and the bit rate"
 _ALONE = (
     "this computer may be alone on the bus, or beside listen-only partners: "
@@ -42,6 +43,7 @@ class LinkFacts:
     controller_state: str = ERROR_ACTIVE
     transmit_errors: int | None = None
     receive_errors: int | None = None
+    bus_offs: int = 0  # lately, also those that the kernel has ended
     nobody_acknowledges: bool = False
     error_frames: int = 0  # in the last second
     last_error: str = ""
@@ -74,13 +76,17 @@ def _no_link(facts: LinkFacts) -> Condition | None:
         return Condition(
             Wellness.WAITING,
             f"{facts.channel} is bus-off: too many errors while sending",
-            "look for a short circuit of CANH and CANL or a wrong bit rate; "
-            f"ip link set {facts.channel} type can restart-ms 100 lets it come back by itself",
+            f"{_SHORT}, then ip link set {facts.channel} type can restart; "
+            "with restart-ms 100, set while the interface is down, it comes back by itself",
         )
     return None
 
 
 def _bus_ill(facts: LinkFacts) -> Condition | None:
+    if facts.bus_offs:
+        times = "once" if facts.bus_offs == 1 else f"{facts.bus_offs} times"
+        what = f"{facts.channel} went bus-off {times} in the last 10 s, and came back"
+        return Condition(Wellness.ILL, what, _SHORT)
     if facts.nobody_acknowledges:
         return Condition(Wellness.ILL, f"no acknowledgement on {facts.channel}: no other node confirms a frame", _ALONE)
     counted = ""

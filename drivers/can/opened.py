@@ -25,7 +25,7 @@ class OpenedBus:
         self.bus = bus
         self._settings = settings
         self._index = status.index
-        self._received = status.received
+        self._foreign: int | None = None  # frames from others when last asked; None: nothing to compare with
         self._checks_without_carrier = 0
         self._drops = 0
 
@@ -37,10 +37,13 @@ class OpenedBus:
     def note_frames(self) -> None:
         """Frames come, so there is nothing to ask."""
         self._checks_without_carrier = 0
-        self._received = None  # the old count would take those that were read for frames held back
+        self._foreign = None  # the old count would take those that were read for frames held back
 
-    def check(self) -> bool:
+    def check(self, sent: int) -> bool:
         """Ask how the interface is on which nothing comes; whether it gets frames that a kernel filter holds back.
+
+        Args:
+            sent: how many frames this program has sent, which a virtual interface counts among those received.
 
         Raises:
             InterfaceFault: it is missing, down, or another one of the same name.
@@ -56,8 +59,11 @@ class OpenedBus:
                 0, "the network interface was deleted and made anew", "nothing: the bus is opened again by itself"
             )
         self._checks_without_carrier = 0 if status.is_running else self._checks_without_carrier + 1
-        before, self._received = self._received, status.received
-        return before is not None and status.received is not None and status.received > before
+        before = self._foreign
+        self._foreign = None
+        if status.received is not None:
+            self._foreign = status.received - (sent if status.receives_own else 0)
+        return before is not None and self._foreign is not None and self._foreign > before
 
     def new_drops(self) -> int:
         """Frames that the receive buffer had no room for since the last call."""
