@@ -55,6 +55,7 @@ class LinkFacts:
     overload: int = 0  # wanted frames in excess lately
     kernel_drops: int = 0  # frames lost lately
     send_error: str = ""  # why the last frame could not be sent
+    never_sent: int = 0  # frames that the interface took and dropped lately
 
 
 def failure_of(what: str, channel: str, number: int | None) -> Failure:
@@ -65,7 +66,7 @@ def failure_of(what: str, channel: str, number: int | None) -> Failure:
 
 def diagnose(facts: LinkFacts) -> Condition:
     """The worst of what ails a link."""
-    found = _no_link(facts) or _bus_ill(facts) or _nothing_comes(facts) or _losses(facts)
+    found = _no_link(facts) or _bus_ill(facts) or _nothing_comes(facts) or _what_was(facts)
     return found or OK
 
 
@@ -83,10 +84,6 @@ def _no_link(facts: LinkFacts) -> Condition | None:
 
 
 def _bus_ill(facts: LinkFacts) -> Condition | None:
-    if facts.bus_offs:
-        times = "once" if facts.bus_offs == 1 else f"{facts.bus_offs} times"
-        what = f"{facts.channel} went bus-off {times} in the last 10 s, and came back"
-        return Condition(Wellness.ILL, what, _SHORT)
     if facts.nobody_acknowledges:
         return Condition(Wellness.ILL, f"no acknowledgement on {facts.channel}: no other node confirms a frame", _ALONE)
     counted = ""
@@ -120,7 +117,11 @@ def _nothing_comes(facts: LinkFacts) -> Condition | None:
     return None
 
 
-def _losses(facts: LinkFacts) -> Condition | None:
+def _what_was(facts: LinkFacts) -> Condition | None:
+    if facts.bus_offs:
+        times = "once" if facts.bus_offs == 1 else f"{facts.bus_offs} times"
+        what = f"{facts.channel} went bus-off {times} in the last 10 s, and came back"
+        return Condition(Wellness.ILL, what, _SHORT)
     if facts.overload:
         return Condition(
             Wellness.ILL,
@@ -135,4 +136,12 @@ def _losses(facts: LinkFacts) -> Condition | None:
         )
     if facts.send_error:
         return Condition(Wellness.ILL, f"sending on {facts.channel} fails: {facts.send_error}", _ALONE)
+    if facts.never_sent:
+        name = facts.channel
+        return Condition(
+            Wellness.ILL,
+            f"{name} dropped {facts.never_sent} frames that were to be sent in the last 10 s: is it listen-only?",
+            f"ip link set {name} down, then ip link set {name} up type can listen-only off; "
+            "or `enabled = false` in [can.publish]",
+        )
     return None

@@ -107,6 +107,11 @@ def kernel_drops(bus: can.BusABC) -> int:
     return drops
 
 
+def never_sent(settings: CanSettings) -> int:
+    """Frames that were handed to the interface and that the kernel dropped, as it does in listen-only mode."""
+    return (_statistic(settings.channel, "tx_dropped") or 0) if settings.interface == "socketcan" else 0
+
+
 def _kernel_status(name: str) -> InterfaceStatus:
     # A Unix socket will do for the question and passes a service's RestrictAddressFamilies=.
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as any_socket:
@@ -121,12 +126,13 @@ def _kernel_status(name: str) -> InterfaceStatus:
         rate = f"; the first time: ip link set {name} up type can bitrate 250000, with the bit rate of your bus"
         raise _down(name, rate if has_controller else "")
     # Without a controller, what an interface receives is what programs send on it.
-    return InterfaceStatus(index, bool(flags & _IFF_RUNNING), _received_by(name), receives_own=not has_controller)
+    received = _statistic(name, "rx_packets")
+    return InterfaceStatus(index, bool(flags & _IFF_RUNNING), received, receives_own=not has_controller)
 
 
-def _received_by(name: str) -> int | None:
+def _statistic(name: str, what: str) -> int | None:
     try:
-        return int(Path(_NETWORK, name, "statistics/rx_packets").read_text())
+        return int(Path(_NETWORK, name, "statistics", what).read_text())
     except (OSError, ValueError):  # a container without /sys
         return None
 

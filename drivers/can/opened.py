@@ -6,7 +6,7 @@ from contextlib import suppress
 
 import can
 
-from drivers.can.interface import InterfaceFault, InterfaceStatus, interface_status, kernel_drops
+from drivers.can.interface import InterfaceFault, InterfaceStatus, interface_status, kernel_drops, never_sent
 from drivers.can.settings import CanSettings
 
 CHECKS_WITHOUT_CARRIER = 2  # the kernel tells of a carrier with up to a second's delay
@@ -28,6 +28,7 @@ class OpenedBus:
         self._foreign: int | None = None  # frames from others when last asked; None: nothing to compare with
         self._checks_without_carrier = 0
         self._drops = 0
+        self._never_sent = never_sent(settings)
 
     @property
     def has_carrier(self) -> bool:
@@ -71,3 +72,8 @@ class OpenedBus:
         with suppress(OSError):
             self._drops = kernel_drops(self.bus)
         return self._drops - before
+
+    def new_never_sent(self) -> int:
+        """Frames that the interface took and dropped since the last call; `send` does not tell."""
+        before, self._never_sent = self._never_sent, never_sent(self._settings)
+        return self._never_sent - before

@@ -234,6 +234,24 @@ def test_own_frames_do_not_count_as_received(
     link.close()
 
 
+def test_frames_that_a_listen_only_controller_drops_are_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """The kernel takes them without an error."""
+    counting_kernel(monkeypatch, tmp_path)(0)
+    dropped = tmp_path / "can0" / "statistics" / "tx_dropped"
+    dropped.write_text("30\n")
+    clock = VirtualClock()
+    settings = CanSettings(channel="can0", listen_only=False)
+    link = CanBus(settings, nobody, clock, opener=lambda settings, ids: NetworkBus("none"))
+    link.drain()
+    for count in (30, 40, 50):
+        dropped.write_text(f"{count}\n")
+        clock.sleep(1.0)
+        link.drain()
+    assert link.condition.what == "can0 dropped 20 frames that were to be sent in the last 10 s: is it listen-only?"
+    assert "type can listen-only off" in link.condition.advice
+    link.close()
+
+
 def test_frames_that_the_kernel_filter_holds_back_are_seen_in_the_statistics(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

@@ -221,6 +221,17 @@ def test_bus_off_until_it_is_restarted_by_hand(journal: Journal) -> None:
     row("can0 bus-off, restarted by hand", journal, seconds_to_good_data(good_readings))
 
 
+def test_listen_only_while_the_estimate_is_to_be_published(journal: Journal) -> None:
+    """The kernel takes the frames and drops them; displacements go on."""
+    set_can0("listen-only", "on")
+    journal.wait_for("is it listen-only?")
+    assert run("candump", "-L", "-T", "3000", "can1,6F0:7FF") == ""
+    seconds = seconds_to_good_data(good_readings)
+    set_can0("listen-only", "off")
+    assert len(run("candump", "-L", "-n", "5", "-T", "60000", "can1,6F0:7FF").splitlines()) == 5
+    row("can0 listen-only, the estimate to be published", journal, seconds)
+
+
 def test_the_bit_rate_is_changed(journal: Journal) -> None:
     """The support's interface follows; while an interface is up the kernel refuses."""
     run("ip", "link", "set", "can0", "type", "can", "bitrate", OTHER_BIT_RATE, code=2)
