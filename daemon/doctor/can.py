@@ -8,7 +8,7 @@ import can
 
 from daemon.doctor import can_link, can_traffic
 from daemon.doctor.patient import Patient
-from daemon.doctor.report import Check, Verdict, fault, not_checked, ok
+from daemon.doctor.report import Check, fault, not_checked, ok
 from drivers.can.displacement import build_decoders
 from drivers.can.interface import InterfaceFault, open_bus
 from drivers.can.link import read_link
@@ -22,8 +22,8 @@ def look(patient: Patient) -> list[Check]:
     settings = patient.settings.can
     if not settings.enabled:
         return [ok("CAN", "switched off in [can]: the estimate is inertial only")]
-    checks = _link(settings)
-    if any(check.verdict is Verdict.FAULT for check in checks):
+    checks, can_hear = _link(settings)
+    if not can_hear:
         why, advice = "nothing can be heard", "mend what stands above first"
         return checks + [not_checked(name, why, advice) for name in (can_traffic.FRAMES, DISPLACEMENT)]
     if settings.interface == "virtual" and patient.status is not None:
@@ -71,9 +71,11 @@ def listen(patient: Patient, play: Callable[[], None] = lambda: None) -> list[Ch
     return checks if ours is None else [*checks, ours]
 
 
-def _link(settings: CanSettings) -> list[Check]:
+def _link(settings: CanSettings) -> tuple[list[Check], bool]:
+    """The checks of the interface, and whether frames may come from it."""
     if settings.interface == "socketcan":
-        return can_link.judge(read_link(settings.channel), settings)
+        link = read_link(settings.channel)
+        return can_link.judge(link, settings), can_link.can_hear(link)
     if settings.interface == "virtual":
-        return [ok(can_link.INTERFACE, f"virtual, {settings.channel}: within this process")]
-    return [ok(can_link.INTERFACE, f"UDP multicast {settings.channel}: for trials on one computer")]
+        return [ok(can_link.INTERFACE, f"virtual, {settings.channel}: within this process")], True
+    return [ok(can_link.INTERFACE, f"UDP multicast {settings.channel}: for trials on one computer")], True

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from daemon.doctor.report import Check, fault, not_checked, ok, warning
+from drivers.can.error_frames import BUS_OFF
 from drivers.can.link import LinkFacts
 from drivers.can.settings import CanSettings
 
@@ -14,6 +15,11 @@ _DROPPED_SHARE = 0.01
 def judge(link: LinkFacts, settings: CanSettings) -> list[Check]:
     """Both checks of a kernel interface."""
     return [judge_interface(link, settings), judge_controller(link, settings)]
+
+
+def can_hear(link: LinkFacts) -> bool:
+    """Whether frames may come."""
+    return link.exists and link.is_can and link.is_up and link.state != BUS_OFF
 
 
 def judge_interface(link: LinkFacts, settings: CanSettings) -> Check:
@@ -28,8 +34,12 @@ def judge_interface(link: LinkFacts, settings: CanSettings) -> Check:
     if not link.is_can:
         return fault(INTERFACE, f"{name} is no CAN interface", "name a CAN interface as channel in [can]: ip -br link")
     if not link.is_up:
-        set_up = f"sudo ip link set {name} up type can bitrate 250000 restart-ms 100 with the bit rate of your bus"
-        return fault(INTERFACE, f"{name} is down", set_up if link.kind != "vcan" else f"sudo ip link set {name} up")
+        set_up = f"sudo ip link set {name} up"
+        if link.kind == "vcan" or link.bitrate:
+            return fault(INTERFACE, f"{name} is down", set_up)
+        silent = "" if settings.publish.enabled else " listen-only on"
+        advice = f"{set_up} type can bitrate 250000{silent} restart-ms 100 with the bit rate of your bus"
+        return fault(INTERFACE, f"{name} is down, and no bit rate is known", advice)
     figures = {"bitrate": link.bitrate, "kind": link.kind}
     if link.bitrate:
         return ok(INTERFACE, f"{name} is up, {link.bitrate:,} bit/s", **figures)
@@ -54,21 +64,26 @@ def judge_controller(link: LinkFacts, settings: CanSettings) -> Check:
     }
     counted = f"error counters transmit {link.transmit_errors}, receive {link.receive_errors}"
     found = f"{link.state}, {counted}, restart-ms {link.restart_ms}, {'' if link.is_listen_only else 'not '}listen-only"
-    if link.state == "bus-off":
-        advice = (
-            f"look for a short circuit of CANH and CANL or a wrong bit rate, then sudo ip link set {name} type can "
-        )
-        return fault(CONTROLLER, found, f"{advice}restart-ms 100", **figures)
+    # The kernel refuses another restart-ms while the interface is up.
+    restarting = f"sudo ip link set {name} down, then sudo ip link set {name} up type can restart-ms 100"
+    if link.state == BUS_OFF:
+        then = f"the kernel tries again every {link.restart_ms} ms"
+        if not link.restart_ms:
+            then = f"then sudo ip link set {name} type can restart; so that it comes back by itself: {restarting}"
+        advice = f"look for a short circuit of CANH and CANL or a wrong bit rate; {then}"
+        return fault(CONTROLLER, found, advice, **figures)
     if settings.publish.enabled and link.is_listen_only:
-        advice = f"set {name} down and up again with listen-only off, or enabled = false in [can.publish]"
+        advice = (
+            f"sudo ip link set {name} down, then sudo ip link set {name} up type can listen-only off; or "
+            "enabled = false in [can.publish]"
+        )
         return fault(CONTROLLER, f"the estimate is to be sent, but {name} is listen-only", advice, **figures)
     if link.state not in ("error-active", "stopped", "sleeping"):
         return warning(CONTROLLER, found, _CABLE, **figures)
     if link.dropped and link.received and link.dropped > _DROPPED_SHARE * link.received:
         return warning(CONTROLLER, f"{found}; {link.dropped} frames dropped", "see what floods the bus", **figures)
     if not link.restart_ms:
-        advice = f"sudo ip link set {name} type can restart-ms 100 lets it come back after bus-off"
-        return warning(CONTROLLER, f"{found}: after bus-off it stays off", advice, **figures)
+        return warning(CONTROLLER, f"{found}: after bus-off it stays off", restarting, **figures)
     if not settings.publish.enabled and not link.is_listen_only:
         return ok(CONTROLLER, f"{found}: it acknowledges frames; set listen-only on a bus that is not yours", **figures)
     return ok(CONTROLLER, found, **figures)

@@ -185,6 +185,9 @@ def judge_own_identifier(traffic: Traffic, settings: CanSettings, *, daemon_send
     rate_hz, own_hz = traffic.rate_hz(ours), 1e3 / publish.period_ms
     advice = "choose a free arbitration_id in [can.publish]: two senders of one identifier destroy each other's frames"
     if daemon_sends:
+        if not rate_hz:
+            look = "mend what stands above first; `ramstroke status` tells whether there is an estimate to be sent"
+            return warning(OURS, f"{ours} is to be sent by the running daemon, but does not come", look, rate_hz=0.0)
         if rate_hz <= _CROWDED * own_hz:
             return ok(OURS, f"{ours} comes {rate_hz:.1f} times a second, from the running daemon", rate_hz=rate_hz)
         return fault(

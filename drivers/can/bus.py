@@ -18,11 +18,12 @@ import can
 from drivers.can.arrival import ArrivalTimes
 from drivers.can.diagnosis import Failure, LinkFacts, diagnose, failure_of
 from drivers.can.error_frames import BUS_OFF
-from drivers.can.error_tally import ErrorTally
+from drivers.can.error_tally import TOLD_S, ErrorTally
 from drivers.can.frame import Frame, FrameId
 from drivers.can.intake import CanCounters, Intake
 from drivers.can.interface import InterfaceFault, interface_status, open_bus, to_message
 from drivers.can.opened import OpenedBus
+from drivers.can.rate import RecentCount
 from drivers.can.reader import PacedReader
 from drivers.can.settings import CanSettings
 from drivers.clock import Clock
@@ -80,6 +81,7 @@ class CanBus:
         self._reads = self._reads_before = 0  # messages read, now and at the last supervision
         self._empty_wakes = 0
         self._send_error = ""
+        self._never_sent = RecentCount(TOLD_S)
         self.last_error = ""  # the last failure to open, read, send or close
         self.progress = 0  # grows at least once a second while the task lives, whatever the bus does
 
@@ -111,6 +113,7 @@ class CanBus:
                 controller_state=self.controller_state,
                 transmit_errors=self.errors.transmit_errors,
                 receive_errors=self.errors.receive_errors,
+                bus_offs=self.errors.recent_bus_offs(now_ns),
                 nobody_acknowledges=self._intake.nobody_acknowledges(now_ns),
                 error_frames=self.errors.in_last_second(now_ns),
                 last_error=self.errors.last,
@@ -121,6 +124,7 @@ class CanBus:
                 overload=self._intake.recent_overload(now_ns),
                 kernel_drops=self._intake.recent_drops(now_ns),
                 send_error=self._send_error,
+                never_sent=self._never_sent.count(now_ns),
             )
         )
 
@@ -283,11 +287,12 @@ class CanBus:
         self._empty_wakes = 0
         now_ns = self._clock.now_ns()
         self._intake.note_drops(opened.new_drops(), now_ns)
+        self._never_sent.add(now_ns, opened.new_never_sent())
         if self._reads != self._reads_before:
             opened.note_frames()
         else:
             try:
-                if opened.check():
+                if opened.check(self.counters.sent):
                     self._intake.note_filtered(now_ns)
             except InterfaceFault as fault:
                 raise self._failed(fault) from fault

@@ -10,6 +10,7 @@ from drivers.condition import OK, Condition, Wellness
 
 MANY_ERROR_FRAMES = 10  # in one second; a good bus has none
 
+_SHORT = "look for a short circuit of CANH and CANL or a wrong bit rate"
 _CABLE = "check CANH, CANL, the 120 ohm resistors at both ends and the bit rate"
 _ALONE = (
     "this computer may be alone on the bus, or beside listen-only partners: "
@@ -42,6 +43,7 @@ class LinkFacts:
     controller_state: str = ERROR_ACTIVE
     transmit_errors: int | None = None
     receive_errors: int | None = None
+    bus_offs: int = 0  # lately, also those that the kernel has ended
     nobody_acknowledges: bool = False
     error_frames: int = 0  # in the last second
     last_error: str = ""
@@ -53,6 +55,7 @@ class LinkFacts:
     overload: int = 0  # wanted frames in excess lately
     kernel_drops: int = 0  # frames lost lately
     send_error: str = ""  # why the last frame could not be sent
+    never_sent: int = 0  # frames that the interface took and dropped lately
 
 
 def failure_of(what: str, channel: str, number: int | None) -> Failure:
@@ -63,7 +66,7 @@ def failure_of(what: str, channel: str, number: int | None) -> Failure:
 
 def diagnose(facts: LinkFacts) -> Condition:
     """The worst of what ails a link."""
-    found = _no_link(facts) or _bus_ill(facts) or _nothing_comes(facts) or _losses(facts)
+    found = _no_link(facts) or _bus_ill(facts) or _nothing_comes(facts) or _what_was(facts)
     return found or OK
 
 
@@ -74,8 +77,8 @@ def _no_link(facts: LinkFacts) -> Condition | None:
         return Condition(
             Wellness.WAITING,
             f"{facts.channel} is bus-off: too many errors while sending",
-            "look for a short circuit of CANH and CANL or a wrong bit rate; "
-            f"ip link set {facts.channel} type can restart-ms 100 lets it come back by itself",
+            f"{_SHORT}, then ip link set {facts.channel} type can restart; "
+            "with restart-ms 100, set while the interface is down, it comes back by itself",
         )
     return None
 
@@ -114,7 +117,11 @@ def _nothing_comes(facts: LinkFacts) -> Condition | None:
     return None
 
 
-def _losses(facts: LinkFacts) -> Condition | None:
+def _what_was(facts: LinkFacts) -> Condition | None:
+    if facts.bus_offs:
+        times = "once" if facts.bus_offs == 1 else f"{facts.bus_offs} times"
+        what = f"{facts.channel} went bus-off {times} in the last 10 s, and came back"
+        return Condition(Wellness.ILL, what, _SHORT)
     if facts.overload:
         return Condition(
             Wellness.ILL,
@@ -129,4 +136,12 @@ def _losses(facts: LinkFacts) -> Condition | None:
         )
     if facts.send_error:
         return Condition(Wellness.ILL, f"sending on {facts.channel} fails: {facts.send_error}", _ALONE)
+    if facts.never_sent:
+        name = facts.channel
+        return Condition(
+            Wellness.ILL,
+            f"{name} dropped {facts.never_sent} frames that were to be sent in the last 10 s: is it listen-only?",
+            f"ip link set {name} down, then ip link set {name} up type can listen-only off; "
+            "or `enabled = false` in [can.publish]",
+        )
     return None

@@ -6,6 +6,8 @@ from drivers.can.error_frames import BUS_OFF, ERROR_ACTIVE, NO_ACKNOWLEDGEMENT, 
 from drivers.can.frame import Frame
 from drivers.can.rate import RecentCount
 
+TOLD_S = 10.0  # for how long a loss is told, and a bus-off that the kernel has ended
+
 # Controllers tell of the way up and often not of the way back; a bus on which frames pass for so long is well.
 _CALM_NS = 10_000_000_000
 
@@ -22,6 +24,7 @@ class ErrorTally:
         self.last_ns: int | None = None  # and its time, monotonic
         self.no_acknowledgement_ns: int | None = None  # when nobody acknowledged last
         self._recent = RecentCount(1.0)
+        self._recent_bus_offs = RecentCount(TOLD_S)
 
     def add(self, frame: Frame) -> None:
         """Take error frame `frame` into account."""
@@ -30,6 +33,8 @@ class ErrorTally:
             self.kinds[word.kind] = self.kinds.get(word.kind, 0) + 1
             if word.kind == NO_ACKNOWLEDGEMENT:
                 self.no_acknowledgement_ns = frame.t_ns
+        if report.state == BUS_OFF:
+            self._recent_bus_offs.add(frame.t_ns)
         if report.state is not None:
             self.state = report.state
         if report.transmit_errors is not None:
@@ -55,3 +60,7 @@ class ErrorTally:
     def in_last_second(self, now_ns: int) -> int:
         """Error frames of the last second."""
         return self._recent.count(now_ns)
+
+    def recent_bus_offs(self, now_ns: int) -> int:
+        """How often the controller went bus-off within the last TOLD_S: a restart may follow within milliseconds."""
+        return self._recent_bus_offs.count(now_ns)

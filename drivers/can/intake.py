@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import can
 
-from drivers.can.error_tally import ErrorTally
+from drivers.can.error_tally import TOLD_S, ErrorTally
 from drivers.can.frame import Frame, FrameId
 from drivers.can.interface import to_frame
 from drivers.can.rate import RecentCount, TokenBudget
@@ -15,7 +15,6 @@ from drivers.can.rate import RecentCount, TokenBudget
 # What sources send is far below; what is above fills disk and queues and tells nothing more.
 FRAMES_PER_S = 2000
 ERROR_FRAMES_PER_S = 100
-TOLD_S = 10.0  # for how long a loss is told
 STRANGERS = 8  # unwanted identifiers that are remembered, to be shown
 
 

@@ -30,7 +30,7 @@ _SO_MEMINFO = 55
 _MEMINFO = struct.Struct("=9I")
 _MEMINFO_DROPS = 8
 
-_NETWORK_STATISTICS = "/sys/class/net/{}/statistics/rx_packets"
+_NETWORK = "/sys/class/net"
 
 
 class InterfaceFault(OSError):
@@ -49,6 +49,7 @@ class InterfaceStatus:
     index: int = 0  # another number means: deleted and made anew under the same name
     is_running: bool = True  # False: the kernel has switched its carrier off, which CAN drivers do when bus-off
     received: int | None = None  # frames since it is there, also those that a kernel filter holds back
+    receives_own: bool = False  # whether what is sent on it counts there, too, as on a vcan interface
 
 
 def open_bus(settings: CanSettings, ids: Collection[FrameId] | None) -> can.BusABC:
@@ -106,6 +107,11 @@ def kernel_drops(bus: can.BusABC) -> int:
     return drops
 
 
+def never_sent(settings: CanSettings) -> int:
+    """Frames that were handed to the interface and that the kernel dropped, as it does in listen-only mode."""
+    return (_statistic(settings.channel, "tx_dropped") or 0) if settings.interface == "socketcan" else 0
+
+
 def _kernel_status(name: str) -> InterfaceStatus:
     # A Unix socket will do for the question and passes a service's RestrictAddressFamilies=.
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as any_socket:
@@ -115,14 +121,18 @@ def _kernel_status(name: str) -> InterfaceStatus:
         except OSError as error:
             raise _missing(error.errno or errno.ENODEV, name) from error
     flags = _IFREQ.unpack(answer)[1]
+    has_controller = Path(_NETWORK, name, "device").exists()
     if not flags & _IFF_UP:
-        raise _down(name)
-    return InterfaceStatus(index, bool(flags & _IFF_RUNNING), _received_by(name))
+        rate = f"; the first time: ip link set {name} up type can bitrate 250000, with the bit rate of your bus"
+        raise _down(name, rate if has_controller else "")
+    # Without a controller, what an interface receives is what programs send on it.
+    received = _statistic(name, "rx_packets")
+    return InterfaceStatus(index, bool(flags & _IFF_RUNNING), received, receives_own=not has_controller)
 
 
-def _received_by(name: str) -> int | None:
+def _statistic(name: str, what: str) -> int | None:
     try:
-        return int(Path(_NETWORK_STATISTICS.format(name)).read_text())
+        return int(Path(_NETWORK, name, "statistics", what).read_text())
     except (OSError, ValueError):  # a container without /sys
         return None
 
@@ -131,8 +141,8 @@ def _missing(number: int, name: str) -> InterfaceFault:
     return InterfaceFault(number, f"there is no network interface {name}", "plug it in, create it or correct `channel`")
 
 
-def _down(name: str) -> InterfaceFault:
-    return InterfaceFault(errno.ENETDOWN, f"network interface {name} is down", f"ip link set {name} up")
+def _down(name: str, rate: str = "") -> InterfaceFault:
+    return InterfaceFault(errno.ENETDOWN, f"network interface {name} is down", f"ip link set {name} up{rate}")
 
 
 def to_frame(message: can.Message, t_ns: int) -> Frame:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -106,7 +107,7 @@ def test_our_identifier_must_be_free(is_used: bool, tmp_path: Path) -> None:
 
 def test_beside_our_own_daemon_a_second_sender_is_found() -> None:
     settings = CanSettings.model_validate({"listen_only": False, "publish": {"enabled": True, "period_ms": 100.0}})
-    for count, verdict in ((30, Verdict.OK), (60, Verdict.FAULT)):
+    for count, verdict in ((0, Verdict.WARNING), (30, Verdict.OK), (60, Verdict.FAULT)):
         traffic = can_traffic.Traffic(seconds=3.0)
         for _ in range(count):
             traffic.take(Frame(0, 0x6F0, bytes(8)))
@@ -166,17 +167,16 @@ def test_the_words_of_ip_are_understood() -> None:
 @pytest.mark.parametrize(
     ("change", "verdict", "advice"),
     [
-        ({"state": "bus-off"}, Verdict.FAULT, "short circuit"),
+        ({"state": "bus-off"}, Verdict.FAULT, "the kernel tries again every 100 ms"),
+        ({"state": "bus-off", "restart_ms": 0}, Verdict.FAULT, "then sudo ip link set can0 type can restart;"),
         ({"state": "error-passive"}, Verdict.WARNING, "120 ohm"),
-        ({"restart_ms": 0}, Verdict.WARNING, "restart-ms 100"),
+        ({"restart_ms": 0}, Verdict.WARNING, "set can0 down, then sudo ip link set can0 up type can restart-ms 100"),
         ({"dropped": 100}, Verdict.WARNING, "floods"),
         ({"is_listen_only": False}, Verdict.OK, "nothing"),
         ({"state": None}, Verdict.NOT_CHECKED, "nothing"),
     ],
 )
 def test_the_controller_is_judged(change: dict[str, Any], verdict: Verdict, advice: str) -> None:
-    from dataclasses import replace
-
     check = can_link.judge_controller(replace(link_of(json.loads(SHOWN)), **change), CanSettings())
     assert check.verdict is verdict
     assert advice in check.advice
@@ -193,7 +193,17 @@ def test_an_interface_that_is_down_by_ip_is_a_fault_with_the_command() -> None:
     down = json.loads(SHOWN) | {"flags": ["NOARP", "ECHO"]}
     interface, controller = can_link.judge(link_of(down), CanSettings())
     assert (interface.verdict, controller.verdict) == (Verdict.FAULT, Verdict.NOT_CHECKED)
-    assert "ip link set can0 up" in interface.advice
+    assert interface.advice == "sudo ip link set can0 up"
+    del down["linkinfo"]["info_data"]["bittiming"]
+    (interface, _) = can_link.judge(link_of(down), CanSettings())
+    assert interface.advice.startswith("sudo ip link set can0 up type can bitrate 250000 listen-only on restart-ms 100")
+
+
+def test_a_controller_that_is_bus_off_cannot_be_heard_and_a_listen_only_one_can() -> None:
+    link = link_of(json.loads(SHOWN))
+    assert can_link.can_hear(link)
+    assert not can_link.can_hear(replace(link, state="bus-off"))
+    assert not can_link.can_hear(replace(link, is_up=False))
 
 
 def test_without_ip_the_kernel_s_own_files_tell_what_they_can(monkeypatch: pytest.MonkeyPatch) -> None:

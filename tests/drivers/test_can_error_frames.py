@@ -171,8 +171,9 @@ PASSIVE = error(0x204, d1=0x20, d6=128, d7=2)
         ([error(0x04, d1=0x10), error(0x04, d1=0x01)], ERROR_PASSIVE, "error-passive", "CANH"),
         ([error(0x40)], BUS_OFF, "is bus-off", "restart-ms"),
         ([PASSIVE, NO_ACK, error(0x40)], BUS_OFF, "is bus-off", "short circuit"),
-        ([error(0x40), error(0x100)], ERROR_ACTIVE, "", ""),
-        ([error(0x40), message(1)], ERROR_ACTIVE, "", ""),  # nothing arrives while bus-off
+        ([error(0x40), error(0x100)], ERROR_ACTIVE, "went bus-off once in the last 10 s", "short circuit"),
+        ([error(0x40), error(0x100)] * 2, ERROR_ACTIVE, "went bus-off 2 times in the last 10 s", "short circuit"),
+        ([error(0x40), message(1)], ERROR_ACTIVE, "and came back", "wrong bit rate"),  # nothing arrives while bus-off
         ([NO_ACK], ERROR_ACTIVE, "no acknowledgement", "alone on the bus"),
         ([PASSIVE, NO_ACK], ERROR_PASSIVE, "no acknowledgement", "listen-only"),
         ([NO_ACK, message(1)], ERROR_ACTIVE, "", ""),  # who sends would acknowledge as well

@@ -6,6 +6,7 @@ import errno
 import fcntl
 import socket
 import struct
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -167,32 +168,100 @@ def kernel_says(monkeypatch: pytest.MonkeyPatch, flags: int, index: int = 3) -> 
     monkeypatch.setattr(socket, "if_nametoindex", lambda name: index)
 
 
-def test_interface_that_is_down_is_refused_with_the_command_that_helps(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_interface_that_is_down_is_refused_with_the_command_that_helps(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     assert interface_status(CanSettings(channel="lo")).index == socket.if_nametoindex("lo")
     kernel_says(monkeypatch, 0x80)
-    with pytest.raises(InterfaceFault, match="can0 is down: ip link set can0 up") as refusal:
+    with pytest.raises(InterfaceFault, match=r"can0 is down: ip link set can0 up$") as refusal:
         interface_status(CanSettings(channel="can0"))
     assert refusal.value.errno == errno.ENETDOWN
+    monkeypatch.setattr(interface_module, "_NETWORK", str(tmp_path))
+    (tmp_path / "can0" / "device").mkdir(parents=True)
+    with pytest.raises(InterfaceFault, match="the first time: ip link set can0 up type can bitrate 250000"):
+        interface_status(CanSettings(channel="can0"))
 
 
 def test_interface_without_carrier_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
     kernel_says(monkeypatch, 0x81)  # up, not running
-    assert interface_status(CanSettings(channel="can0")) == InterfaceStatus(3, False, None)
+    assert interface_status(CanSettings(channel="can0")) == InterfaceStatus(3, is_running=False, receives_own=True)
     kernel_says(monkeypatch, 0xC1)
-    assert interface_status(CanSettings(channel="can0")) == InterfaceStatus(3, True, None)
+    assert interface_status(CanSettings(channel="can0")) == InterfaceStatus(3, receives_own=True)
+
+
+def counting_kernel(
+    monkeypatch: pytest.MonkeyPatch, folder: Path, *, has_controller: bool = True
+) -> Callable[[int], None]:
+    """The interface can0 with its statistics; tells how many frames it has received."""
+    monkeypatch.setattr(interface_module, "_NETWORK", str(folder))
+    kernel_says(monkeypatch, 0xC1)
+    (folder / "can0" / "statistics").mkdir(parents=True)
+    if has_controller:
+        (folder / "can0" / "device").mkdir()
+
+    def count(frames: int) -> None:
+        (folder / "can0" / "statistics" / "rx_packets").write_text(f"{frames}\n")
+
+    return count
+
+
+@pytest.mark.parametrize(
+    ("has_controller", "foreign", "what"),
+    [
+        (False, 0, "no frame at all for 9 s although can0 is up"),
+        (False, 1, "frames arrive on can0, but none with the wanted identifier 0x310 for 9 s"),
+        (True, 1, "frames arrive on can0, but none with the wanted identifier 0x310 for 9 s"),
+    ],
+)
+def test_own_frames_do_not_count_as_received(
+    has_controller: bool, foreign: int, what: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """A virtual interface counts what is sent on it as received; each second ten own frames and one or no other."""
+    kernel_counts = counting_kernel(monkeypatch, tmp_path, has_controller=has_controller)
+    clock = VirtualClock()
+    settings = CanSettings(channel="can0", listen_only=False)
+    link = CanBus(settings, nobody, clock, [FrameId(0x310)], opener=lambda settings, ids: NetworkBus("none"))
+    received = 0
+    for _ in range(10):
+        kernel_counts(received)
+        link.drain()
+        said = link.condition.what
+        for _ in range(10):
+            assert link.send(Frame(1, 0x6F0, bytes(8)))
+        received += foreign + (0 if has_controller else 10)
+        clock.sleep(1.0)
+    assert said == what
+    link.close()
+
+
+def test_frames_that_a_listen_only_controller_drops_are_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """The kernel takes them without an error."""
+    counting_kernel(monkeypatch, tmp_path)(0)
+    dropped = tmp_path / "can0" / "statistics" / "tx_dropped"
+    dropped.write_text("30\n")
+    clock = VirtualClock()
+    settings = CanSettings(channel="can0", listen_only=False)
+    link = CanBus(settings, nobody, clock, opener=lambda settings, ids: NetworkBus("none"))
+    link.drain()
+    for count in (30, 40, 50):
+        dropped.write_text(f"{count}\n")
+        clock.sleep(1.0)
+        link.drain()
+    assert link.condition.what == "can0 dropped 20 frames that were to be sent in the last 10 s: is it listen-only?"
+    assert "type can listen-only off" in link.condition.advice
+    link.close()
 
 
 def test_frames_that_the_kernel_filter_holds_back_are_seen_in_the_statistics(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(interface_module, "_NETWORK_STATISTICS", f"{tmp_path}/{{}}")
-    kernel_says(monkeypatch, 0xC1)
+    kernel_counts = counting_kernel(monkeypatch, tmp_path)
     clock = VirtualClock()
     link = CanBus(
         CanSettings(channel="can0"), nobody, clock, [FrameId(0x310)], opener=lambda settings, ids: NetworkBus("none")
     )
     for second in range(10):
-        (tmp_path / "can0").write_text(f"{second * 100}\n")
+        kernel_counts(second * 100)
         link.drain()
         clock.sleep(1.0)
     assert "none with the wanted identifier 0x310" in link.condition.what

@@ -17,7 +17,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from tests.acceptance.machine.kernel import SOURCES, fetch_kernel
+from tests.acceptance.machine.kernel import OWN_MODULES, fetch_kernel
 from tests.acceptance.machine.root import (
     CHECKOUT,
     HERE,
@@ -93,7 +93,7 @@ def _build_base(base: Path) -> None:
 
 def _base_sources() -> list[Path]:
     scripts = [HERE / f"{name}.py" for name in ("build", "kernel", "root")]
-    files = [path for folder in (SOURCES, IMAGE_FILES) for path in sorted(folder.rglob("*")) if path.is_file()]
+    files = [path for folder in (*OWN_MODULES, IMAGE_FILES) for path in sorted(folder.rglob("*")) if path.is_file()]
     project = [CHECKOUT / name for name in ("pyproject.toml", "constraints.txt", "docs/installation.md")]
     return [*scripts, *files, *project]
 

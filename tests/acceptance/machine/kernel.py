@@ -1,4 +1,4 @@
-"""Debian's kernel for the machine: an ELF that starts at once, the few modules needed, and the test's own one."""
+"""Debian's kernel for the machine: an ELF that starts at once, the few modules needed, and the tests' own ones."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from pathlib import Path
 
 from tests.acceptance.machine.tools import MachineError, run
 
-SOURCES = Path(__file__).parent / "spi_user"
+OWN_MODULES = tuple(Path(__file__).parent / name for name in ("spi_user", "can_bus_off"))  # folders with sources
 # In this order: the first ones are loaded before there is a root file system.
 FOR_ROOT = ("virtio_pci", "virtio_blk", "crc32c_generic", "ext4")
-FOR_TESTS = ("9p", "9pnet_virtio", "loop", "vcan", "can-raw")
+FOR_TESTS = ("9p", "9pnet_virtio", "loop", "vcan", "can-raw", "kvaser_pci")
 _XZ_MAGIC = b"\xfd7zXZ\x00"
 
 
@@ -25,11 +25,11 @@ class Kernel:
     version: str
     image: Path
     modules: Path  # folder with all *.ko
-    own_module: Path
+    own_modules: tuple[Path, ...]
 
 
 def fetch_kernel(folder: Path) -> Kernel:
-    """Download the kernel that Debian has now, unpack it and build the module of `spi_user/` for it."""
+    """Download the kernel that Debian has now, unpack it and build the tests' own modules for it."""
     version = _newest_version()
     packages = folder / "packages"
     packages.mkdir(parents=True)
@@ -41,8 +41,8 @@ def fetch_kernel(folder: Path) -> Kernel:
     shutil.rmtree(packages)
     unpacked = folder / "vmlinux"
     unpacked.write_bytes(_decompressed((folder / "image" / "boot" / f"vmlinuz-{version}").read_bytes()))
-    own_module = _build_own_module(folder, version)
-    return Kernel(version, unpacked, folder / "image" / "lib" / "modules" / version, own_module)
+    own_modules = _build_own_modules(folder, version)
+    return Kernel(version, unpacked, folder / "image" / "lib" / "modules" / version, own_modules)
 
 
 def with_dependencies(modules: Path, names: Iterable[str]) -> list[Path]:
@@ -90,12 +90,15 @@ def _decompressed(image: bytes) -> bytes:
     return lzma.LZMADecompressor().decompress(image[start:])
 
 
-def _build_own_module(folder: Path, version: str) -> Path:
+def _build_own_modules(folder: Path, version: str) -> tuple[Path, ...]:
     tree = folder / "headers" / "usr" / "src" / f"linux-headers-{version}"
     # The headers lie elsewhere than where they would be installed.
     makefile = tree / "Makefile"
     makefile.write_text(makefile.read_text().replace("/usr/src/", f"{tree.parent}/"))
-    build = folder / "spi_user"
-    shutil.copytree(SOURCES, build)
-    run(["make", "-C", tree, f"M={build}", "modules"])
-    return build / "spi-user.ko"
+    built: list[Path] = []
+    for sources in OWN_MODULES:
+        build = folder / sources.name
+        shutil.copytree(sources, build)
+        run(["make", "-C", tree, f"M={build}", "modules"])
+        built += build.glob("*.ko")
+    return tuple(built)

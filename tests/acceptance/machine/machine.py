@@ -24,6 +24,10 @@ _HARDWARE = [
     *("-display", "none"),
     *("-device", "virtio-rng-pci"),
     *("-device", "isa-debug-exit,iobase=0xf4,iosize=1"),
+    # Two CAN controllers on one bus: can0 and can1.
+    *("-object", "can-bus,id=bus"),
+    *("-device", "kvaser_pci,canbus=bus"),
+    *("-device", "kvaser_pci,canbus=bus"),
 ]
 _KERNEL_LINE = (
     "console=ttyS0 panic=-1 mitigations=off edd=off tsc=reliable no_timer_check quiet loglevel=4 "

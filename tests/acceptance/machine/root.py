@@ -62,7 +62,8 @@ def make_root(root: Path, kernel: Kernel) -> None:
     modules.mkdir(parents=True)
     for path in with_dependencies(kernel.modules, (*FOR_ROOT, *FOR_TESTS)):
         shutil.copy(path, modules)
-    shutil.copy(kernel.own_module, modules)
+    for path in kernel.own_modules:
+        shutil.copy(path, modules)
     for path in kernel.modules.glob("modules.*"):
         shutil.copy(path, modules)
     _in(root, "depmod", kernel.version)

@@ -62,12 +62,12 @@ def add_bus() -> None:
     run("ip", "link", "set", "vcan0", "up")
 
 
-def start_support() -> None:
+def start_support(config: Path = CONFIG) -> None:
     """The virtual support, which begins to move ten seconds after it was first asked something."""
     script = HERE.parent / "support.py"
     python = "/opt/ramstroke/bin/python"
     unit = ["systemd-run", "--quiet", "--unit=machine-support", "--property=Restart=no", f"--working-directory={SHARE}"]
-    run(*unit, python, "-P", script, CONFIG)
+    run(*unit, python, "-P", script, config)
 
 
 def exchange_support() -> None:
@@ -76,10 +76,16 @@ def exchange_support() -> None:
     start_support()
 
 
-def install_service() -> None:
+def write_config(path: Path, channel: str) -> None:
+    """The configuration of this folder, for another CAN interface."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    text = (HERE / "ramstroke.toml").read_text()
+    path.write_text(text.replace('channel = "vcan0"', f'channel = "{channel}"'))
+
+
+def install_service(channel: str = "vcan0") -> None:
     """As docs/installation.md says, with the configuration of this folder."""
-    CONFIG.parent.mkdir(parents=True, exist_ok=True)
-    shutil.copy(HERE / "ramstroke.toml", CONFIG)
+    write_config(CONFIG, channel)
     slow = Path("/etc/systemd/system/ramstroke.service.d/slow-machine.conf")
     slow.parent.mkdir(exist_ok=True)
     slow.write_text(_DROP_IN)

@@ -81,6 +81,17 @@ def test_bus_off_is_told(journal: Journal) -> None:
     row("bus-off", journal, seconds_to_good_data(good_readings))
 
 
+def test_own_frames_are_not_taken_for_the_controllers(journal: Journal) -> None:
+    """A virtual interface counts what the daemon sends as received."""
+    sent = status()["can"]["sent"]
+    run("systemctl", "kill", "--signal=STOP", "machine-support")
+    journal.wait_for("no frame at all")
+    assert not any("frames arrive on vcan0" in line for line in journal.lines())
+    assert status()["can"]["sent"] > sent + 5
+    run("systemctl", "kill", "--signal=CONT", "machine-support")
+    row("nothing comes on vcan0", journal, seconds_to_good_data(good_readings))
+
+
 def test_error_frames_are_told(journal: Journal) -> None:
     """Some twenty a second, as of a wire that is loose, until the journal has it: a part speaks every ten seconds."""
     with can.Bus(interface="socketcan", channel="vcan0", fd=True, ignore_config=True) as bus:
