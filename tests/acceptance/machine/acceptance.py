@@ -27,6 +27,7 @@ GROUPS = {
     "main_path": ("main_path",),
     "installation": ("installation",),
     "bus": ("bus_failures",),
+    "doctor": ("doctor",),
 }
 TIMEOUT_S = 900.0
 # A second start finds this much later on its clock than the first did.
