@@ -77,12 +77,13 @@ def _print(checks: list[Check]) -> None:
     made = terminal.table("What was found", "check", "verdict", "found")
     made.columns[1].justify = made.columns[2].justify = "left"
     for (verdict, found, _), alike in groupby(checks, key=_alike):
-        first, *more = (check.name for check in alike)
-        name = f"{first} and {len(more)} more" if more else first
-        made.add_row(escape(name), str(verdict), escape(found))
+        first, *more = alike
+        name = f"{first.name} and {len(more)} more" if more else first.name
+        follows = f" (follows from {first.follows_from})" if first.follows_from else ""
+        made.add_row(escape(name), str(verdict), escape(found + follows))
     terminal.OUT.print(made)
     for verdict, title in ((Verdict.FAULT, "To mend, the first one first:"), (Verdict.WARNING, "Better:")):
-        bad = [check for check in checks if check.verdict is verdict]
+        bad = [check for check in checks if check.verdict is verdict and not check.follows_from]
         if bad:
             terminal.say(title)
         for number, check in enumerate(bad, start=1):

@@ -31,6 +31,7 @@ class Check:
     found: str
     advice: str = NOTHING
     figures: dict[str, Any] = field(default_factory=dict)
+    follows_from: str = ""  # the check whose fault, once mended, may take this one along
 
     def row(self) -> dict[str, Any]:
         """For JSON."""
@@ -39,6 +40,7 @@ class Check:
             "verdict": str(self.verdict),
             "found": self.found,
             "advice": self.advice,
+            **({"follows_from": self.follows_from} if self.follows_from else {}),
             **self.figures,
         }
 

@@ -92,7 +92,7 @@ class Host:
 def install(host: Host, *, realtime: bool) -> None:
     """Write what is missing or of another version; a configuration that is there stays. Raises CommandError."""
     for name, path in FILES.items():
-        host.write(path, _fitted(shipped(name)))
+        host.write(path, fitted(name))
     if realtime:
         host.write(REALTIME, shipped("ramstroke-realtime.conf"))
     if not (host.root / CONFIGURATION).exists():
@@ -133,9 +133,9 @@ def _configuration(name: str) -> str:
     return (files("config") / name).read_text(encoding="utf-8")
 
 
-def _fitted(text: str) -> str:
-    """Units name the program where it is."""
-    return text.replace(SHIPPED_PREFIX, sys.prefix)
+def fitted(name: str) -> str:
+    """Text of a shipped file, which names the program where it is."""
+    return shipped(name).replace(SHIPPED_PREFIX, sys.prefix)
 
 
 def _link_command(host: Host) -> None:

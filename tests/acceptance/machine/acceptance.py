@@ -28,6 +28,7 @@ GROUPS = {
     "installation": ("installation",),
     "bus": ("bus_failures",),
     "controller": ("can_controller",),
+    "doctor": ("doctor",),
 }
 TIMEOUT_S = 900.0
 # A second start finds this much later on its clock than the first did.
@@ -97,6 +98,7 @@ def main() -> int:
             for group in arguments.groups:
                 for name in GROUPS[group]:
                     _tell_failures(folder / name / "results" / "failures.jsonl")
+                    _tell_doctor(folder / name / "results" / "doctor.jsonl")
     except MachineError as error:
         print(f"acceptance machine: {error}", file=sys.stderr)
         return 1
@@ -111,6 +113,14 @@ def _tell_failures(path: Path) -> None:
         after = "" if row["good_after_s"] is None else f": good data after {row['good_after_s']:.1f} s"
         print(f"{row['failure']}{after}")
         print("".join(f"    {said}\n" for said in row["journal"]), end="")
+
+
+def _tell_doctor(path: Path) -> None:
+    """What doctor wants mended on each set-up."""
+    for line in path.read_text().splitlines() if path.exists() else ():
+        row = json.loads(line)
+        print(f"doctor, {row['set_up']}: exit code {row['code']}")
+        print("".join(f"    {said}\n" for said in row["to_do"]), end="")
 
 
 def _report(group: str, outcome: Outcome) -> None:

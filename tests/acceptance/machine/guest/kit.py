@@ -92,6 +92,14 @@ def install_service(channel: str = "vcan0") -> None:
     run(RAMSTROKE, "install-service")
 
 
+def set_up() -> None:
+    """A computer that is ready: devices, bus, the service, which is not started, and the support."""
+    load_devices()
+    add_bus()
+    install_service()
+    start_support()
+
+
 def start_service() -> None:
     """Returns when it says READY."""
     run("systemctl", "start", "ramstroke")
