@@ -20,7 +20,7 @@ def look(patient: Patient) -> list[Check]:
     if isinstance(unit, str):
         return [not_checked(NAME, unit, "start `ramstroke run` by another supervisor, which starts it again")]
     if not unit.is_installed:
-        advice = "sudo cp systemd/ramstroke.service /etc/systemd/system/, then sudo systemctl enable --now ramstroke"
+        advice = "sudo ramstroke install-service --start"
         return [warning(NAME, "ramstroke.service is not installed: nothing starts the daemon", advice)]
     return [judge_unit(unit), judge_configuration(unit, patient.file), judge_rights(unit, patient.settings)]
 

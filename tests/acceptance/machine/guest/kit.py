@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -65,9 +66,8 @@ def add_bus() -> None:
 def start_support() -> None:
     """The virtual support, which begins to move ten seconds after it was first asked something."""
     script = HERE.parent / "support.py"
-    python = "/opt/ramstroke/bin/python"
     unit = ["systemd-run", "--quiet", "--unit=machine-support", "--property=Restart=no", f"--working-directory={SHARE}"]
-    run(*unit, python, "-P", script, CONFIG)
+    run(*unit, sys.executable, "-P", script, CONFIG)
 
 
 def exchange_support() -> None:
@@ -80,10 +80,16 @@ def install_service() -> None:
     """As docs/installation.md says, with the configuration of this folder."""
     CONFIG.parent.mkdir(parents=True, exist_ok=True)
     shutil.copy(HERE / "ramstroke.toml", CONFIG)
+    allow_slowness()
+    run(RAMSTROKE, "install-service")
+
+
+def allow_slowness() -> None:
+    """The service has more time than its unit gives."""
     slow = Path("/etc/systemd/system/ramstroke.service.d/slow-machine.conf")
     slow.parent.mkdir(exist_ok=True)
     slow.write_text(_DROP_IN)
-    run(RAMSTROKE, "install-service")
+    run("systemctl", "daemon-reload")
 
 
 def start_service() -> None:
