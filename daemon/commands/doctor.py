@@ -72,7 +72,7 @@ def _print(checks: list[Check]) -> None:
     from rich.markup import escape
 
     from daemon import terminal
-    from daemon.doctor.report import Verdict
+    from daemon.doctor.report import ASK_AS, Verdict
 
     made = terminal.table("What was found", "check", "verdict", "found")
     made.columns[1].justify = made.columns[2].justify = "left"
@@ -90,6 +90,8 @@ def _print(checks: list[Check]) -> None:
             terminal.say(f"  {number}. {check.name}: {check.advice}")
     if not any(check.verdict in (Verdict.FAULT, Verdict.WARNING) for check in checks):
         terminal.say("Nothing is at fault.")
+    for command in sorted({check.advice for check in checks if check.advice.startswith(ASK_AS)}):
+        terminal.say(f"What was not checked for want of rights: {command}")
 
 
 def _alike(check: Check) -> tuple[Verdict, str, str]:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from daemon.doctor.patient import Patient
-from daemon.doctor.report import Check, Verdict, fault, not_checked, ok, warning
+from daemon.doctor.report import Check, Verdict, elsewhere, fault, not_checked, ok, warning
 from daemon.doctor.rights import PASS, WRITE, User, nearest_folder, owners_of
 from daemon.doctor.unit import Unit
 from daemon.recording.retention import free_bytes, recordings
@@ -64,7 +64,7 @@ def judge_folder(name: str, folder: Path, user: User, option: str, sandbox: Sequ
         return fault(name, f"{place} is no folder", f"correct {option}", **figures)
     if not user.is_me and not os.access(place, PASS):
         found = f"who asks may not look into {place}, which belongs to user {user.name}"
-        return not_checked(name, found, f"sudo -u {user.name} ramstroke doctor looks further", **figures)
+        return elsewhere(name, found, user.name)
     if not user.may(place, WRITE | PASS):
         advice = f"sudo install -d -o {user.name} {folder}, or correct {option}"
         return fault(name, f"user {user.name} may not write in {place} ({owners_of(place)})", advice, **figures)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from daemon.doctor.report import Check, fault, not_checked
+from daemon.doctor.report import Check, elsewhere, fault
 from daemon.doctor.rights import READ, WRITE, User, group_of, groups_to_join, holders, owners_of
 
 
@@ -57,11 +57,8 @@ def not_mine(node: Node, user: User, me: User) -> Check | None:
     """A device that the service may use, and who asks may not: rights are well, and that is all one can say."""
     if user.is_me or me.may(node.path, READ | WRITE):
         return None
-    return not_checked(
-        node.check,
-        f"{node.path} is there and user {user.name} may use it, but {me.name}, who asks, may not",
-        f"sudo -u {user.name} ramstroke doctor looks further",
-    )
+    found = f"{node.path} is there and user {user.name} may use it, but {me.name}, who asks, may not"
+    return elsewhere(node.check, found, user.name)
 
 
 def _others(node: Node) -> Sequence[str]:

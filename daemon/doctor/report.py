@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
 
+ASK_AS = "sudo -u"
 NOTHING = "nothing to do"
 
 
@@ -63,6 +64,11 @@ def fault(name: str, found: str, advice: str, **figures: Any) -> Check:
 def not_checked(name: str, why: str, advice: str = NOTHING, **figures: Any) -> Check:
     """It could not be looked at."""
     return Check(name, Verdict.NOT_CHECKED, why, advice, figures)
+
+
+def elsewhere(name: str, why: str, user: str) -> Check:
+    """Only that user may look."""
+    return not_checked(name, why, f"{ASK_AS} {user} ramstroke doctor")
 
 
 def worst(checks: Iterable[Check]) -> Verdict:

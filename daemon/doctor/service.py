@@ -44,7 +44,8 @@ def judge_unit(unit: Unit) -> Check:
     if unit.state == "failed":
         advice = "journalctl -u ramstroke -n 50 says why; mend that, then sudo systemctl restart ramstroke"
         return fault(NAME, f"{found}: it ended with {unit.result}", advice, **figures)
-    if not unit.has_watchdog:
+    # Systemd tells the watchdog of a unit only once that has been started.
+    if unit.is_active and not unit.has_watchdog:
         advice = "set WatchdogSec=10 in [Service] of the unit or of the drop-in that changes it, then sudo systemctl "
         found = f"{found}; no watchdog ends a daemon that hangs"
         return warning(NAME, found, f"{advice}daemon-reload (systemctl cat ramstroke shows both)", **figures)
