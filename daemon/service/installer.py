@@ -134,7 +134,8 @@ def remove(host: Host, *, purge: bool) -> None:
         host.run("systemctl", "stop", "ramstroke-sim.service")
     for path in (*FILES.values(), REALTIME, TRIAL, COMMAND):
         host.delete(path)
-    _delete_if_empty(host, DROP_INS)
+    for folder in (DROP_INS, FILES["ramstroke.sysusers.conf"].parent):
+        _delete_if_empty(host, folder)
     host.run("systemctl", "daemon-reload")
     host.run("udevadm", "control", "--reload")
     for path in (CONFIGURATION.parent, STATE, DROP_INS):
@@ -162,7 +163,7 @@ def _write_configuration(host: Host, path: Path, name: str) -> None:
 
 
 def _delete_if_empty(host: Host, folder: Path) -> None:
-    """People may have put files of their own there, with `systemctl edit`."""
+    """Others may have put files there, such as `systemctl edit`."""
     if host.has(folder) and not any((host.root / folder).iterdir()):
         host.delete(folder)
 
