@@ -1,5 +1,6 @@
 # make demo    one cycle of the virtual support, measured; results in demo/
 # make test    all tests
+# make browser the live page and the report in a browser (Chromium must be installed)
 # make acceptance  the installed service on a real kernel: spidev, GPIO, SocketCAN, systemd (Debian 12, as root)
 # make coverage  the same with branch coverage (half as fast)
 # make check   ruff and mypy
@@ -11,13 +12,16 @@ VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/installed
 
-.PHONY: demo test acceptance coverage check bench docs faults rebase clean
+.PHONY: demo test browser acceptance coverage check bench docs faults rebase clean
 
 demo: $(INSTALLED)
 	$(BIN)/ramstroke demo --out demo
 
 test: $(INSTALLED)
 	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadscope
+
+browser: $(INSTALLED)
+	$(BIN)/python -m pytest tests/browser
 
 acceptance: $(INSTALLED)
 	$(BIN)/python -m tests.acceptance.machine.acceptance
