@@ -59,7 +59,11 @@ class GpiodDataReady:
             self._request: Any = gpiod.request_lines(
                 chip_path, consumer="ramstroke", config={line_offset: line}, event_buffer_size=_EVENT_BUFFER
             )
-        except (OSError, ValueError) as error:
+        except ValueError:
+            raise DataReadyError(
+                f"{chip_path} has no line {line_offset}; set data_ready_chip and data_ready_line"
+            ) from None
+        except OSError as error:
             raise DataReadyError(
                 f"cannot watch {self._name} for data-ready: {error}; set data_ready_chip and data_ready_line"
             ) from error

@@ -72,23 +72,26 @@ def _print(checks: list[Check]) -> None:
     from rich.markup import escape
 
     from daemon import terminal
-    from daemon.doctor.report import Verdict
+    from daemon.doctor.report import ASK_AS, Verdict
 
     made = terminal.table("What was found", "check", "verdict", "found")
     made.columns[1].justify = made.columns[2].justify = "left"
     for (verdict, found, _), alike in groupby(checks, key=_alike):
-        first, *more = (check.name for check in alike)
-        name = f"{first} and {len(more)} more" if more else first
-        made.add_row(escape(name), str(verdict), escape(found))
+        first, *more = alike
+        name = f"{first.name} and {len(more)} more" if more else first.name
+        follows = f" (follows from {first.follows_from})" if first.follows_from else ""
+        made.add_row(escape(name), str(verdict), escape(found + follows))
     terminal.OUT.print(made)
     for verdict, title in ((Verdict.FAULT, "To mend, the first one first:"), (Verdict.WARNING, "Better:")):
-        bad = [check for check in checks if check.verdict is verdict]
+        bad = [check for check in checks if check.verdict is verdict and not check.follows_from]
         if bad:
             terminal.say(title)
         for number, check in enumerate(bad, start=1):
             terminal.say(f"  {number}. {check.name}: {check.advice}")
     if not any(check.verdict in (Verdict.FAULT, Verdict.WARNING) for check in checks):
         terminal.say("Nothing is at fault.")
+    for command in sorted({check.advice for check in checks if check.advice.startswith(ASK_AS)}):
+        terminal.say(f"What was not checked for want of rights: {command}")
 
 
 def _alike(check: Check) -> tuple[Verdict, str, str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 from daemon.doctor import lines, node, rest, sampling
@@ -148,7 +147,10 @@ class _Kept:
 
 def _node(settings: ImuSettings) -> node.Node:
     switch_on = "switch SPI on (Raspberry Pi: dtparam=spi=on in /boot/firmware/config.txt) and restart the computer"
-    return node.Node(PORT, Path(settings.spi_device), "spi_device in [imu]", switch_on, "spidev*")
+    chip = lines.chip_of(settings)
+    companions = () if chip is None else (chip.path,)
+    device = Path(settings.spi_device)
+    return node.Node(PORT, device, "spi_device in [imu]", switch_on, "spidev*", companions=companions)
 
 
 def _name(settings: ImuSettings) -> str:
@@ -160,8 +162,9 @@ def _name(settings: ImuSettings) -> str:
 def _advice(error: OSError | ImuError) -> str:
     if isinstance(error, ImuError):
         return error.advice or "check the sensor's wires"
-    number = f" ({os.strerror(error.errno)})" if error.errno else ""
-    return f"check the SPI port of this computer{number}: dmesg tells of its driver"
+    return (
+        "no wire of the sensor does that: see what dmesg tells of this computer's SPI driver, and restart the computer"
+    )
 
 
 def _hidden(after: int = 0) -> list[Check]:

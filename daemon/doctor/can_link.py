@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from daemon.doctor.report import Check, fault, not_checked, ok, warning
 from drivers.can.error_frames import BUS_OFF
-from drivers.can.link import LinkFacts
+from drivers.can.link import LinkFacts, can_interfaces
 from drivers.can.settings import CanSettings
 
 INTERFACE, CONTROLLER = "CAN interface", "CAN controller"
@@ -14,7 +16,7 @@ _DROPPED_SHARE = 0.01
 
 def judge(link: LinkFacts, settings: CanSettings) -> list[Check]:
     """Both checks of a kernel interface."""
-    return [judge_interface(link, settings), judge_controller(link, settings)]
+    return [judge_interface(link, settings, can_interfaces()), judge_controller(link, settings)]
 
 
 def can_hear(link: LinkFacts) -> bool:
@@ -22,15 +24,17 @@ def can_hear(link: LinkFacts) -> bool:
     return link.exists and link.is_can and link.is_up and link.state != BUS_OFF
 
 
-def judge_interface(link: LinkFacts, settings: CanSettings) -> Check:
-    """Is it there, CAN, and up."""
+def judge_interface(link: LinkFacts, settings: CanSettings, others: Sequence[str] = ()) -> Check:
+    """Is it there, CAN, and up; `others`: the CAN interfaces that are there."""
     name = settings.channel
     if not link.exists:
-        return fault(
-            INTERFACE,
-            f"there is no network interface {name}",
-            "plug the adapter in, load its driver (dmesg tells), or correct channel in [can]",
-        )
+        appear = "plug the adapter in and load its driver (dmesg tells)"
+        if name.startswith("vcan"):
+            appear = f"sudo ip link add dev {name} type vcan, then sudo ip link set {name} up"
+        if others:
+            advice = f"correct channel in [can], or {appear}"
+            return fault(INTERFACE, f"there is no network interface {name}, but {', '.join(others)}", advice)
+        return fault(INTERFACE, f"there is no network interface {name}", f"{appear}, or correct channel in [can]")
     if not link.is_can:
         return fault(INTERFACE, f"{name} is no CAN interface", "name a CAN interface as channel in [can]: ip -br link")
     if not link.is_up:

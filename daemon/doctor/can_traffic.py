@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import can
 
-from daemon.doctor.report import Check, fault, ok, warning
+from daemon.doctor.report import Check, fault, not_checked, ok, warning
 from drivers.can.displacement import DisplacementDecoder
 from drivers.can.error_tally import ErrorTally
 from drivers.can.frame import Frame, FrameId
@@ -25,6 +25,7 @@ _STUCK_READINGS = 10
 _BAD_SHARE = 0.1
 _BEYOND_MM = 40.0  # of the stroke, as the estimator bears
 _CROWDED = 1.5  # times our own rate
+_RIGHT_CHANNEL = "and check channel in [can]"
 
 
 @dataclass(slots=True)
@@ -39,6 +40,7 @@ class Seen:
 class Traffic:
     """What a few seconds brought."""
 
+    ours: FrameId | None = None  # of the estimate: it says nothing about the bus, nor about the displacement
     seconds: float = 0.0
     end_ns: int = 0
     by_id: dict[FrameId, Seen] = field(default_factory=dict)
@@ -56,6 +58,11 @@ class Traffic:
         seen.count += 1
         seen.lengths.add(len(frame.data))
 
+    @property
+    def others(self) -> dict[FrameId, Seen]:
+        """What is not the estimate."""
+        return {one: seen for one, seen in self.by_id.items() if one != self.ours}
+
     def rate_hz(self, frame_id: FrameId) -> float:
         """Frames a second of that identifier."""
         seen = self.by_id.get(frame_id)
@@ -69,10 +76,15 @@ class Traffic:
 
 
 def listen(
-    bus: can.BusABC, clock: Clock, seconds: float, decoders: list[DisplacementDecoder], play: Callable[[], None]
+    bus: can.BusABC,
+    clock: Clock,
+    seconds: float,
+    decoders: list[DisplacementDecoder],
+    play: Callable[[], None],
+    ours: FrameId | None = None,
 ) -> Traffic:
     """Take in what comes; `play` lets a virtual controller of this process send. Raises CanError, OSError."""
-    traffic = Traffic()
+    traffic = Traffic(ours)
     begin_ns = clock.now_ns()
     end_ns = begin_ns + round(seconds * 1e9)
     while clock.now_ns() < end_ns:
@@ -87,21 +99,22 @@ def listen(
     return traffic
 
 
-def judge_frames(traffic: Traffic, settings: CanSettings) -> Check:
-    """Whether anything comes at all, and whether the bus is sound."""
+def judge_frames(traffic: Traffic, settings: CanSettings, *, is_wired: bool = True) -> Check:
+    """Whether anything comes at all, and whether the bus is sound; a virtual interface has no wires to look at."""
     figures = {
         "identifiers": {str(one): round(traffic.rate_hz(one), 2) for one in traffic.by_id},
         "error_frames": traffic.error_frames,
         "seconds": round(traffic.seconds, 2),
     }
-    if not traffic.by_id:
-        said = f"; {traffic.error_frames} error frames, the last: {traffic.errors.last}" if traffic.error_frames else ""
-        return fault(
-            FRAMES,
-            f"no frame at all on {settings.channel} in {traffic.seconds:.0f} s{said}",
-            "check CANH/CANL wiring, termination, bit rate and that the controller is switched on",
-            **figures,
-        )
+    if not traffic.others:
+        said = f" but {traffic.words()}, our own estimate" if traffic.by_id else ""
+        if traffic.error_frames:
+            said += f"; {traffic.error_frames} error frames, the last: {traffic.errors.last}"
+        advice = "switch the controller on, look at CANH/CANL, termination and bit rate, "
+        if not is_wired:
+            advice = f"start what sends on {settings.channel}, which is virtual, such as `ramstroke sim`, "
+        found = f"no frame at all on {settings.channel} in {traffic.seconds:.0f} s{said}"
+        return fault(FRAMES, found, f"{advice}{_RIGHT_CHANNEL}", **figures)
     found = f"in {traffic.seconds:.0f} s {traffic.words()}"
     if traffic.error_frames >= _MANY_ERRORS:
         found = f"{traffic.error_frames} error frames, the last: {traffic.errors.last}; {found}"
@@ -137,32 +150,31 @@ def judge_displacement(
         advice = "correct message, signal or arbitration_id: this page of the message holds no displacement"
         return fault(name, f"{report.frames} frames {source.frame_id}, but no reading in them", advice, **figures)
     who = f"{source.frame_id}, {rate_hz:.1f} a second"
-    if min(values) == max(values) and len(values) >= _STUCK_READINGS and not is_reference:
-        # A laboratory sensor stands still at rest; those of supports have noise, as a rule.
-        found = (
-            f"{who}: all {len(values)} readings are {values[0]:.1f} mm: the ram rests and the sensor is quiet, or it"
-        )
-        advice = "move the ram while doctor listens and see whether the value follows"
-        return warning(name, f"{found} hangs", advice, **figures)
-    return _judge_values(name, values, who, stroke_mm, figures)
+    return _judge_values(name, values, who, stroke_mm, figures, is_reference)
 
 
-def _judge_values(name: str, values: list[float], who: str, stroke_mm: float, figures: dict[str, object]) -> Check:
+def _judge_values(
+    name: str, values: list[float], who: str, stroke_mm: float, figures: dict[str, object], is_reference: bool
+) -> Check:
     least, largest = min(values), max(values)
     if not -_BEYOND_MM <= least <= largest <= stroke_mm + _BEYOND_MM:
         advice = "correct unit or the scale in the DBC file, or stroke_mm in [support]"
         found = f"{who}: {least:.1f} to {largest:.1f} mm, outside the stroke of {stroke_mm:g} mm"
         return warning(name, found, advice, **figures)
+    if least == largest and len(values) >= _STUCK_READINGS and not is_reference:
+        # Of a ram that rests this is no evidence; beside a move it would be, and the daemon judges that all the time.
+        found = f"{who}: {least:.1f} mm, whole and valid; all {len(values)} readings are equal, as of a quiet sensor at"
+        return ok(name, f"{found} rest: whether it follows the ram, only a move shows", **figures)
     return ok(name, f"{who}: {least:.1f} to {largest:.1f} mm, whole and valid", **figures)
 
 
 def _missing(name: str, decoder: DisplacementDecoder, traffic: Traffic, figures: dict[str, object]) -> Check:
     source, condition = decoder.source, decoder.report(traffic.end_ns).condition
-    if not traffic.by_id:
-        return fault(name, condition.what, condition.advice, **figures)
+    if not traffic.others:
+        return not_checked(name, "nothing was heard that could be it", "mend what stands above first", **figures)
     alike = [
         str(one)
-        for one, seen in traffic.by_id.items()
+        for one, seen in traffic.others.items()
         if seen.lengths == {source.message.length} and one.is_extended == source.frame_id.is_extended
     ]
     advice = f"correct preset, arbitration_id, node_id or dbc in [can.{name}], or let the controller send it"
@@ -176,14 +188,19 @@ def _missing(name: str, decoder: DisplacementDecoder, traffic: Traffic, figures:
     return fault(name, f"{condition.what}, but {traffic.words()}", advice, **figures)
 
 
-def judge_own_identifier(traffic: Traffic, settings: CanSettings, *, daemon_sends: bool) -> Check | None:
-    """Whether somebody else uses the identifier of the estimate frame; None if none is to be sent."""
+def judge_own_identifier(traffic: Traffic, settings: CanSettings, *, daemon_sends: bool | None) -> Check | None:
+    """Whether somebody else uses the identifier of the estimate frame; None if none is to be sent.
+
+    `daemon_sends`: None if nobody knows whether a daemon runs.
+    """
     publish = settings.publish
     if not publish.enabled:
         return None
-    ours = FrameId(publish.arbitration_id, publish.extended)
+    ours = own_identifier(settings)
     rate_hz, own_hz = traffic.rate_hz(ours), 1e3 / publish.period_ms
     advice = "choose a free arbitration_id in [can.publish]: two senders of one identifier destroy each other's frames"
+    if daemon_sends is None and 0.0 < rate_hz <= _CROWDED * own_hz:
+        return not_checked(OURS, f"{ours} comes {rate_hz:.1f} times a second, perhaps from a running daemon")
     if daemon_sends:
         if not rate_hz:
             look = "mend what stands above first; `ramstroke status` tells whether there is an estimate to be sent"
@@ -196,3 +213,8 @@ def judge_own_identifier(traffic: Traffic, settings: CanSettings, *, daemon_send
     if rate_hz:
         return fault(OURS, f"{ours} is in use: {rate_hz:.1f} frames a second", advice, rate_hz=rate_hz)
     return ok(OURS, f"{ours} is free")
+
+
+def own_identifier(settings: CanSettings) -> FrameId:
+    """Of the estimate frame, whether it is to be sent or not."""
+    return FrameId(settings.publish.arbitration_id, settings.publish.extended)

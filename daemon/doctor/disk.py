@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import os
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 from daemon.doctor.patient import Patient
-from daemon.doctor.report import Check, Verdict, fault, not_checked, ok, warning
+from daemon.doctor.report import Check, Verdict, elsewhere, fault, not_checked, ok, warning
 from daemon.doctor.rights import PASS, WRITE, User, nearest_folder, owners_of
 from daemon.doctor.unit import Unit
 from daemon.recording.retention import free_bytes, recordings
@@ -25,6 +26,7 @@ _ENOUGH = 5.0  # times that
 _PIECES, _PIECE = 16, 256 * 1024
 _SLOW_SYNC_S = 1.0
 _LONGEST_SOCKET = 107  # unix(7)
+_LEAST_MB = 1.0  # less is a full disk, whatever is to be left free
 _LOST = ("tmpfs", "ramfs", "overlay")
 MEGA = 1_000_000
 
@@ -35,25 +37,45 @@ def look(patient: Patient) -> list[Check]:
     if not recording.enabled:
         checks = [ok(FOLDER, "nothing is to be recorded: enabled = false in [recording]")]
     else:
-        checks = [judge_folder(FOLDER, recording.directory, patient.user, "directory in [recording]")]
+        checks = [
+            judge_folder(FOLDER, recording.directory, patient.user, "directory in [recording]", _sandbox(patient))
+        ]
         place = nearest_folder(recording.directory)
         checks.append(judge_space(recording, free_bytes(place), _recorded_bytes(recording.directory)))
-        checks.append(_speed(patient, place))
-    checks.append(judge_folder(STATE, service.state_file.parent, patient.user, "state_file in [service]"))
+        if any(check.verdict is Verdict.FAULT for check in checks):
+            checks.append(not_checked(SPEED, "it needs what stands above", "mend what stands above first"))
+        else:
+            checks.append(_speed(patient, place))
+    folder = service.state_file.parent
+    checks.append(judge_folder(STATE, folder, patient.user, "state_file in [service]", _sandbox(patient)))
     return [*checks, _socket(patient)]
 
 
-def judge_folder(name: str, folder: Path, user: User, option: str) -> Check:
-    """Whether that user may write there, or make it, and whether it outlasts a power-off."""
+def judge_folder(name: str, folder: Path, user: User, option: str, sandbox: Sequence[Path] | None = None) -> Check:
+    """Whether that user may write there, or make it, and whether it outlasts a power-off.
+
+    `sandbox`: the only folders that the service may write in at all; None: it may wherever its user may.
+    """
     place = nearest_folder(folder)
     kind = kind_of(place, Path("/proc/mounts").read_text(errors="replace"))
     there = f"{folder} is there" if place == folder.absolute() else f"{folder} can be made in {place}"
     figures = {"file_system": kind}
     if not place.is_dir():
         return fault(name, f"{place} is no folder", f"correct {option}", **figures)
+    if not user.is_me and not os.access(place, PASS):
+        found = f"who asks may not look into {place}, which belongs to user {user.name}"
+        return elsewhere(name, found, user.name)
     if not user.may(place, WRITE | PASS):
         advice = f"sudo install -d -o {user.name} {folder}, or correct {option}"
         return fault(name, f"user {user.name} may not write in {place} ({owners_of(place)})", advice, **figures)
+    if os.statvfs(place).f_flag & os.ST_RDONLY:
+        # After an error the kernel does that itself, and the disk wants to be looked at before anything else.
+        point = _mount_point(place)
+        advice = f"sudo mount -o remount,rw {point} if dmesg tells of no error of the disk, else replace it"
+        return fault(name, f"{point} is mounted read-only", advice, **figures)
+    if sandbox is not None and not any(folder.absolute().is_relative_to(one) for one in sandbox):
+        advice = f"sudo systemctl edit ramstroke: there [Service] and ReadWritePaths={folder}, then restart the service"
+        return fault(name, f"the service's sandbox does not let it write in {folder}", advice, **figures)
     refusal = write_refusal(place) if user.is_me else ""
     if refusal:
         return fault(
@@ -63,6 +85,18 @@ def judge_folder(name: str, folder: Path, user: User, option: str) -> Check:
         found = f"{there}, but on {kind}: all of it is lost when the computer is switched off"
         return warning(name, found, f"put it on a disk or card: {option}", **figures)
     return ok(name, f"{there}, on {kind}, and user {user.name} may write", **figures)
+
+
+def _mount_point(place: Path) -> Path:
+    found = place.resolve()
+    while not found.is_mount():
+        found = found.parent
+    return found
+
+
+def _sandbox(patient: Patient) -> Sequence[Path] | None:
+    unit = patient.unit
+    return unit.writable if isinstance(unit, Unit) else None
 
 
 def write_refusal(folder: Path) -> str:
@@ -92,11 +126,11 @@ def judge_space(recording: RecorderSettings, free: int, recorded: int) -> Check:
     figures = {"free_mb": round(free_mb), "recorded_mb": round(recorded_mb)}
     found = f"{free_mb:,.0f} MB free, {recorded_mb:,.0f} MB recorded; to be left free {recording.keep_free_mb:g} MB, "
     found += f"budget {recording.budget_mb:g} MB"
-    if free_mb < recording.keep_free_mb:
+    if free_mb < max(recording.keep_free_mb, _LEAST_MB):
         if recorded_mb > recording.keep_free_mb - free_mb:
             return warning(SPACE, f"{found}: old recordings are deleted now", "make room, or copy them away", **figures)
-        advice = "make room on the disk: others fill it, or lower keep_free_mb in [recording]"
-        return fault(SPACE, found, advice, **figures)
+        lower = ", or lower keep_free_mb in [recording]" if free_mb > _LEAST_MB else ""
+        return fault(SPACE, found, f"make room on the disk, which others fill{lower}", **figures)
     if free_mb - recording.keep_free_mb + recorded_mb < recording.budget_mb:
         advice = "make room, or lower budget_mb in [recording] to what the disk can hold"
         return warning(SPACE, f"{found}: the budget does not fit", advice, **figures)

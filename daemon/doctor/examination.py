@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
-from daemon.doctor import adis16448, can, daemon_health, disk, jy901, machine, memory, program, service
+from daemon.doctor import adis16448, can, daemon_health, disk, follow_ups, jy901, machine, memory, program, service
 from daemon.doctor.patient import Patient
 from daemon.doctor.report import Check, guarded
 
@@ -30,4 +30,4 @@ def examine(patient: Patient) -> list[Check]:
     for area, look in areas:
         patient.say(f"looking at {area}")
         checks += guarded(area, partial(look, patient))
-    return checks
+    return follow_ups.marked(checks)

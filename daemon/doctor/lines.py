@@ -48,7 +48,7 @@ def examine(device: Adis16448, clock: Clock, open_line: OpenLine | None, others:
         if "missing, install" in str(error):
             what, advice = str(error), "pip install 'ramstroke[hardware]'"
         else:
-            advice = f"{advice} in [imu]; gpioinfo shows the lines and who uses them, group gpio has the rights"
+            advice = f"{advice} in [imu] to the line that the wire is on; gpioinfo lists all lines and who uses them"
         return fault(NAME, what, advice)
     if reaction.kind(settings.nominal_rate_hz) is LineKind.FOLLOWS and _is_inverted(device, clock, open_line):
         return fault(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 
 from daemon.doctor.patient import Patient
-from daemon.doctor.report import Check, ok, warning
+from daemon.doctor.report import Check, elsewhere, ok, warning
 from daemon.service.state_file import CLOCK_SLACK_S, SavedState, StateFileError, read
 from daemon.settings import Settings
 
@@ -21,6 +21,8 @@ def look(patient: Patient) -> list[Check]:
     except FileNotFoundError:
         return [ok(NAME, f"there is no {path} yet: nothing is learned, as before a first start")]
     except StateFileError as error:
+        if not patient.user.is_me and isinstance(error.__cause__, PermissionError):
+            return [elsewhere(NAME, str(error), patient.user.name)]
         advice = (
             "correct stroke_mm in [support] if that is wrong, else let the daemon set the file aside and learn anew"
         )

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from daemon.doctor.report import Check, fault, not_checked
-from daemon.doctor.rights import READ, WRITE, User, group_of, holders, owners_of
+from daemon.doctor.report import Check, elsewhere, fault
+from daemon.doctor.rights import READ, WRITE, User, group_of, groups_to_join, holders, owners_of
 
 
 @dataclass(slots=True, frozen=True)
@@ -20,6 +20,7 @@ class Node:
     switch_on: str  # what makes it appear
     alike: str  # pattern of others of its kind in /dev
     is_shared: bool = False  # several programs may have it open
+    companions: tuple[Path, ...] = ()  # other devices of the same part, whose groups are told with this one's
 
 
 def examine(node: Node, user: User) -> Check | None:
@@ -27,17 +28,21 @@ def examine(node: Node, user: User) -> Check | None:
     path = node.path
     if not path.exists():
         others = _others(node)
-        there = f"; there are {', '.join(others)}" if others else ""
-        return fault(node.check, f"there is no {path}{there}", f"{node.switch_on}, or correct {node.option}")
+        if others:
+            found, advice = (
+                f"there is no {path}, but {', '.join(others)}",
+                f"correct {node.option}, or {node.switch_on}",
+            )
+            return fault(node.check, found, advice)
+        return fault(node.check, f"there is no {path}", f"{node.switch_on}, or correct {node.option}")
     if not path.is_char_device():
         return fault(node.check, f"{path} is no device", f"correct {node.option}")
     if not user.may(path, READ | WRITE):
-        group = group_of(path)
         return fault(
             node.check,
             f"user {user.name} may not use {path} ({owners_of(path)})",
-            f"sudo usermod -aG {group} {user.name}, then log in again or restart the service",
-            group=group,
+            groups_to_join(user, (path, *node.companions)),
+            group=group_of(path),
         )
     # A pseudo-terminal is held open by whoever plays the device.
     held = [] if node.is_shared or path.resolve().is_relative_to("/dev/pts") else holders(path)
@@ -52,11 +57,8 @@ def not_mine(node: Node, user: User, me: User) -> Check | None:
     """A device that the service may use, and who asks may not: rights are well, and that is all one can say."""
     if user.is_me or me.may(node.path, READ | WRITE):
         return None
-    return not_checked(
-        node.check,
-        f"{node.path} is there and user {user.name} may use it, but {me.name}, who asks, may not",
-        f"sudo -u {user.name} ramstroke doctor looks further",
-    )
+    found = f"{node.path} is there and user {user.name} may use it, but {me.name}, who asks, may not"
+    return elsewhere(node.check, found, user.name)
 
 
 def _others(node: Node) -> Sequence[str]:

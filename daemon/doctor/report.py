@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
 
+ASK_AS = "sudo -u"
 NOTHING = "nothing to do"
 
 
@@ -31,6 +32,7 @@ class Check:
     found: str
     advice: str = NOTHING
     figures: dict[str, Any] = field(default_factory=dict)
+    follows_from: str = ""  # the check whose fault, once mended, may take this one along
 
     def row(self) -> dict[str, Any]:
         """For JSON."""
@@ -39,6 +41,7 @@ class Check:
             "verdict": str(self.verdict),
             "found": self.found,
             "advice": self.advice,
+            **({"follows_from": self.follows_from} if self.follows_from else {}),
             **self.figures,
         }
 
@@ -61,6 +64,11 @@ def fault(name: str, found: str, advice: str, **figures: Any) -> Check:
 def not_checked(name: str, why: str, advice: str = NOTHING, **figures: Any) -> Check:
     """It could not be looked at."""
     return Check(name, Verdict.NOT_CHECKED, why, advice, figures)
+
+
+def elsewhere(name: str, why: str, user: str) -> Check:
+    """Only that user may look."""
+    return not_checked(name, why, f"{ASK_AS} {user} ramstroke doctor")
 
 
 def worst(checks: Iterable[Check]) -> Verdict:

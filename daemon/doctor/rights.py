@@ -6,10 +6,15 @@ import grp
 import os
 import pwd
 import stat
+import sys
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 READ, WRITE, PASS = 4, 2, 1
+# By its place: before the first installation no `ramstroke` can be typed, least of all behind sudo.
+INSTALL = f"sudo {sys.prefix}/bin/ramstroke install-service"
+_ROOT = 0
 
 
 @dataclass(slots=True, frozen=True)
@@ -66,10 +71,26 @@ def owners_of(path: Path) -> str:
     return f"{_user_name(about.st_uid)}:{group_of(path)} {stat.filemode(about.st_mode)}"
 
 
+def groups_to_join(user: User, paths: Iterable[Path]) -> str:
+    """What lets the user read and write these devices: one command for all of them."""
+    refused = [path for path in paths if path.exists() and not user.may(path, READ | WRITE)]
+    if any(not _has_group(path) for path in refused):
+        return f"{INSTALL} gives such devices to a group of their own, and the service's user to that group"
+    groups = ",".join(sorted({group_of(path) for path in refused}))
+    then = "log in again" if user.is_me else "sudo systemctl try-restart ramstroke"
+    return f"sudo usermod -aG {groups} {user.name}, then {then}"
+
+
+def _has_group(path: Path) -> bool:
+    """Whether the members of a group that one may join can use it."""
+    about = path.stat()
+    return about.st_gid != _ROOT and about.st_mode >> 3 & (READ | WRITE) == READ | WRITE
+
+
 def nearest_folder(path: Path) -> Path:
-    """The folder itself, or the nearest one above it that exists."""
+    """The folder itself, or the nearest one above it that exists, as far as who asks may look."""
     found = path.absolute()
-    while not found.exists() and found != found.parent:
+    while not os.path.exists(found) and found != found.parent:
         found = found.parent
     return found
 

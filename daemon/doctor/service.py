@@ -6,11 +6,13 @@ from pathlib import Path
 
 from daemon.doctor.patient import Patient
 from daemon.doctor.report import Check, fault, not_checked, ok, warning
-from daemon.doctor.rights import READ, WRITE, named_user
+from daemon.doctor.rights import INSTALL, READ, WRITE, groups_to_join, named_user
 from daemon.doctor.unit import Unit
+from daemon.errors import CommandError
+from daemon.service.installer import fitted
 from daemon.settings import Settings
 
-NAME, CONFIGURATION, RIGHTS = "service", "service's configuration", "service's rights"
+NAME, FILE, CONFIGURATION, RIGHTS = "service", "service's unit", "service's configuration", "service's rights"
 _MANY_RESTARTS = 3
 
 
@@ -20,9 +22,14 @@ def look(patient: Patient) -> list[Check]:
     if isinstance(unit, str):
         return [not_checked(NAME, unit, "start `ramstroke run` by another supervisor, which starts it again")]
     if not unit.is_installed:
-        advice = "sudo cp systemd/ramstroke.service /etc/systemd/system/, then sudo systemctl enable --now ramstroke"
-        return [warning(NAME, "ramstroke.service is not installed: nothing starts the daemon", advice)]
-    return [judge_unit(unit), judge_configuration(unit, patient.file), judge_rights(unit, patient.settings)]
+        found = "ramstroke.service is not installed: nothing starts the daemon"
+        return [warning(NAME, found, f"{INSTALL} --start, once nothing is at fault here")]
+    return [
+        judge_unit(unit),
+        judge_file(unit),
+        judge_configuration(unit, patient.file),
+        judge_rights(unit, patient.settings),
+    ]
 
 
 def judge_unit(unit: Unit) -> Check:
@@ -37,18 +44,33 @@ def judge_unit(unit: Unit) -> Check:
     if unit.state == "failed":
         advice = "journalctl -u ramstroke -n 50 says why; mend that, then sudo systemctl restart ramstroke"
         return fault(NAME, f"{found}: it ended with {unit.result}", advice, **figures)
+    # Systemd tells the watchdog of a unit only once that has been started.
+    if unit.is_active and not unit.has_watchdog:
+        advice = "set WatchdogSec=10 in [Service] of the unit or of the drop-in that changes it, then sudo systemctl "
+        found = f"{found}; no watchdog ends a daemon that hangs"
+        return warning(NAME, found, f"{advice}daemon-reload (systemctl cat ramstroke shows both)", **figures)
     if not unit.is_enabled:
-        return warning(
-            NAME, f"{found}: it does not start with the computer", "sudo systemctl enable ramstroke", **figures
-        )
+        now = "" if unit.is_active else "--now "
+        once = "" if unit.is_active else ", once nothing is at fault here"
+        found = f"{found}: it does not start with the computer"
+        return warning(NAME, found, f"sudo systemctl enable {now}ramstroke{once}", **figures)
     if not unit.is_active:
-        return warning(NAME, found, "sudo systemctl start ramstroke once nothing is at fault here", **figures)
-    if not unit.has_watchdog:
-        advice = "set WatchdogSec=10 in the unit, as in systemd/ramstroke.service"
-        return warning(NAME, f"{found}; no watchdog ends a daemon that hangs", advice, **figures)
+        return warning(NAME, found, "sudo systemctl start ramstroke, once nothing is at fault here", **figures)
     if unit.restarts >= _MANY_RESTARTS:
         return warning(NAME, found, "journalctl -u ramstroke says why it was started anew", **figures)
     return ok(NAME, found, **figures)
+
+
+def judge_file(unit: Unit) -> Check:
+    """Whether the unit's file is the one of this version; what `systemctl edit` adds is the user's right."""
+    try:
+        is_ours = unit.file is not None and unit.file.read_text(encoding="utf-8") == fitted("ramstroke.service")
+    except (OSError, CommandError) as error:
+        return not_checked(FILE, f"it cannot be compared: {error}")
+    if is_ours:
+        return ok(FILE, f"{unit.file} is that of this version")
+    advice = f"{INSTALL} writes that of this version; changes of your own belong into `sudo systemctl edit ramstroke`"
+    return warning(FILE, f"{unit.file} is of another version, or changed by hand", advice)
 
 
 def judge_configuration(unit: Unit, file: Path | None) -> Check:
@@ -66,15 +88,14 @@ def judge_rights(unit: Unit, settings: Settings) -> Check:
     """Whether the service's user may use the devices that exist."""
     user = named_user(unit.user)
     if user is None:
-        advice = f"sudo useradd --system --user-group --shell /usr/sbin/nologin {unit.user}"
+        advice = f"{INSTALL} makes it, or correct User= in the unit"
         return fault(RIGHTS, f"the unit's user {unit.user} does not exist", advice)
     devices = [path for path in devices_of(settings) if path.exists()]
     refused = [path for path in devices if not user.may(path, READ | WRITE)]
     if refused:
-        groups = ",".join(sorted({path.group() for path in refused}))
         words = " and ".join(map(str, refused))
-        advice = f"sudo usermod -aG {groups} {user.name}, then sudo systemctl restart ramstroke"
-        return fault(RIGHTS, f"user {user.name} may not use {words}", advice, refused=[str(path) for path in refused])
+        found = f"user {user.name} may not use {words}"
+        return fault(RIGHTS, found, groups_to_join(user, devices), refused=[str(path) for path in refused])
     return ok(RIGHTS, f"user {user.name} may use {' and '.join(map(str, devices)) or 'all that is there: nothing'}")
 
 

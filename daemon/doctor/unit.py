@@ -11,7 +11,8 @@ NAME = "ramstroke"
 _BOOTED = Path("/run/systemd/system")  # sd_booted(3)
 _PROPERTIES = (
     *("LoadState", "ActiveState", "SubState", "UnitFileState", "Result", "MainPID", "NRestarts"),
-    *("WatchdogUSec", "ExecStart", "User", "LimitRTPRIO", "RuntimeDirectory", "StateDirectory"),
+    *("WatchdogUSec", "ExecStart", "User", "LimitRTPRIO", "RuntimeDirectory", "FragmentPath"),
+    *("ProtectSystem", "StateDirectory", "ReadWritePaths"),
 )
 _PATIENCE_S = 5.0
 
@@ -31,6 +32,8 @@ class Unit:
     user: str = ""
     realtime_limit: int = 0
     runtime_folder: str = ""  # below /run, made at each start
+    file: Path | None = None
+    writable: tuple[Path, ...] | None = None  # all folders that the sandbox lets it write in; None: it has no sandbox
 
     @property
     def is_active(self) -> bool:
@@ -70,7 +73,22 @@ def unit_of(shown: str) -> Unit:
         user=values.get("User", "") or "root",
         realtime_limit=_number(values.get("LimitRTPRIO")),
         runtime_folder=values.get("RuntimeDirectory", ""),
+        file=Path(values["FragmentPath"]) if values.get("FragmentPath") else None,
+        writable=_writable(values),
     )
+
+
+def _writable(values: dict[str, str]) -> tuple[Path, ...] | None:
+    """Of ProtectSystem=strict; weaker words protect no folder that recordings would go to."""
+    if values.get("ProtectSystem") != "strict":
+        return None
+    paths = [word.lstrip("-+") for word in values.get("ReadWritePaths", "").split()]
+    own = [
+        f"{root}/{name}"
+        for root, key in (("/var/lib", "StateDirectory"), ("/run", "RuntimeDirectory"))
+        for name in values.get(key, "").split()
+    ]
+    return tuple(map(Path, paths + own))
 
 
 def _number(text: str | None) -> int:

@@ -34,7 +34,7 @@ from daemon.service.log_relay import LogRelay
 from daemon.service.loop_watch import Lateness, LoopWatch
 from daemon.service.notify import Notifier
 from daemon.service.process import settle_process
-from daemon.service.watchdog import Watchdog
+from daemon.service.watchdog import Watchdog, hanging
 from daemon.settings import Settings
 from daemon.stream import Stream
 from drivers.acquisition import Block
@@ -103,7 +103,7 @@ class Application:
         self._health_book = HealthBook()
         self._recorder_health = RecorderHealth(self._recorder, settings.recording.enabled)
         self._watchdog = self._make_watchdog()
-        self._laggards: set[str] = set()
+        self._hanging: set[str] = set()
         self._loop: asyncio.AbstractEventLoop | None = None
         self._failure: BaseException | None = None
 
@@ -320,10 +320,14 @@ class Application:
         self._recorder.write(topics.HEALTH, Health(self._clock.now_ns(), json.dumps(finite(health))))
 
     def _tell_laggards(self, laggards: dict[str, float]) -> None:
-        """Into the log, which outlives what systemd will do."""
-        for name in laggards.keys() - self._laggards:
-            _log.error("%s has stood still for %.0f s: systemd will start the program anew", name, laggards[name])
-        self._laggards = set(laggards)
+        """Into the log, which outlives what systemd may do; a part that is only slow goes on before that."""
+        for name, words in hanging(laggards, self._notifier.watchdog_s).items():
+            if name not in self._hanging:
+                self._hanging.add(name)
+                _log.error("%s", words, extra={"fields": {"part": name}})
+        for name in self._hanging - laggards.keys():
+            _log.warning("%s goes on", name, extra={"fields": {"part": name}})
+        self._hanging &= laggards.keys()
 
     def _make_watchdog(self) -> Watchdog:
         watchdog = Watchdog()

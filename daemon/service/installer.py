@@ -16,6 +16,7 @@ from daemon.errors import CommandError
 SHIPPED_PREFIX = "/opt/ramstroke"  # in the units as they come
 UNITS = Path("etc/systemd/system")
 CONFIGURATION = Path("etc/ramstroke/ramstroke.toml")
+TRIAL_CONFIGURATION = Path("etc/ramstroke/trial.toml")
 COMMAND = Path("usr/local/bin/ramstroke")
 STATE = Path("var/lib/ramstroke")
 # Shipped file -> where it goes.
@@ -26,7 +27,9 @@ FILES = {
     "ramstroke.sysusers.conf": Path("etc/sysusers.d/ramstroke.conf"),
     "ramstroke.tmpfiles.conf": Path("etc/tmpfiles.d/ramstroke.conf"),
 }
-REALTIME = UNITS / "ramstroke.service.d" / "realtime.conf"
+DROP_INS = UNITS / "ramstroke.service.d"
+REALTIME = DROP_INS / "realtime.conf"
+TRIAL = DROP_INS / "trial.conf"
 _MADE = (
     ("systemd-sysusers", "/etc/sysusers.d/ramstroke.conf"),
     ("systemd-tmpfiles", "--create", "/etc/tmpfiles.d/ramstroke.conf"),
@@ -74,6 +77,10 @@ class Host:
             raise CommandError(f"cannot write {target} ({error.strerror}): run it as root, with sudo") from error
         self.say(f"wrote /{path}")
 
+    def has(self, path: Path) -> bool:
+        """Whether there is such a file or folder."""
+        return (self.root / path).exists()
+
     def delete(self, path: Path) -> None:
         """Take a file or folder away, if it is there. Raises CommandError."""
         target = self.root / path
@@ -89,32 +96,51 @@ class Host:
         self.say(f"deleted /{path}")
 
 
-def install(host: Host, *, realtime: bool) -> None:
-    """Write what is missing or of another version; a configuration that is there stays. Raises CommandError."""
+def install(host: Host, *, realtime: bool, trial: bool | None) -> None:
+    """Write what is missing or of another version; a configuration that is there stays. Raises CommandError.
+
+    Args:
+        host: where.
+        realtime: allow a real-time priority from now on.
+        trial: let the service work with the virtual support, or with the real one again; None leaves it as it is.
+    """
     for name, path in FILES.items():
-        host.write(path, _fitted(shipped(name)))
+        host.write(path, fitted(name))
     if realtime:
         host.write(REALTIME, shipped("ramstroke-realtime.conf"))
-    if not (host.root / CONFIGURATION).exists():
-        host.write(CONFIGURATION, _configuration("ramstroke.toml"))
+    if trial or (trial is None and host.has(TRIAL)):
+        host.write(TRIAL, fitted("ramstroke-trial.conf"))
+        _write_configuration(host, TRIAL_CONFIGURATION, "trial_service.toml")
+    elif host.has(TRIAL):
+        host.delete(TRIAL)
+        _delete_if_empty(host, DROP_INS)
+        host.run("systemctl", "stop", "ramstroke-sim.service")
+    _write_configuration(host, CONFIGURATION, "ramstroke.toml")
     _link_command(host)
     for command in _MADE:
         host.run(*command)
     host.run("systemctl", "try-restart", "ramstroke.service")  # an upgrade of what runs
 
 
+def configuration_in_use(host: Host) -> Path:
+    """Of the service that is installed: the trial's while that lasts."""
+    return TRIAL_CONFIGURATION if host.has(TRIAL) else CONFIGURATION
+
+
 def remove(host: Host, *, purge: bool) -> None:
     """Stop and take away the service; with `purge` configuration, recordings and learned state too."""
-    if (host.root / FILES["ramstroke.service"]).exists():
-        host.run("systemctl", "disable", "--now", "ramstroke.service", "ramstroke-sim.service")
-    for path in (*FILES.values(), REALTIME.parent, COMMAND):
+    if host.has(FILES["ramstroke.service"]):
+        host.run("systemctl", "disable", "--now", "ramstroke.service")
+        host.run("systemctl", "stop", "ramstroke-sim.service")
+    for path in (*FILES.values(), REALTIME, TRIAL, COMMAND):
         host.delete(path)
+    _delete_if_empty(host, DROP_INS)
     host.run("systemctl", "daemon-reload")
     host.run("udevadm", "control", "--reload")
-    for path in (CONFIGURATION.parent, STATE):
+    for path in (CONFIGURATION.parent, STATE, DROP_INS):
         if purge:
             host.delete(path)
-        elif (host.root / path).exists():
+        elif host.has(path):
             host.say(f"kept /{path}")
 
 
@@ -127,15 +153,23 @@ def shipped(name: str) -> str:
     raise CommandError(f"{name} is missing from this installation of ramstroke: install it again")
 
 
-def _configuration(name: str) -> str:
+def _write_configuration(host: Host, path: Path, name: str) -> None:
+    """From the examples that come with the program, unless there is one."""
     from importlib.resources import files
 
-    return (files("config") / name).read_text(encoding="utf-8")
+    if not host.has(path):
+        host.write(path, (files("config") / name).read_text(encoding="utf-8"))
 
 
-def _fitted(text: str) -> str:
-    """Units name the program where it is."""
-    return text.replace(SHIPPED_PREFIX, sys.prefix)
+def _delete_if_empty(host: Host, folder: Path) -> None:
+    """People may have put files of their own there, with `systemctl edit`."""
+    if host.has(folder) and not any((host.root / folder).iterdir()):
+        host.delete(folder)
+
+
+def fitted(name: str) -> str:
+    """Text of a shipped file, which names the program where it is."""
+    return shipped(name).replace(SHIPPED_PREFIX, sys.prefix)
 
 
 def _link_command(host: Host) -> None:
@@ -154,6 +188,6 @@ def _link_command(host: Host) -> None:
 
 def start(host: Host) -> None:
     """Enable and start the service. Raises ConfigurationError if its configuration cannot be used, CommandError."""
-    load(host.root / CONFIGURATION)
+    load(host.root / configuration_in_use(host))
     host.run("systemctl", "enable", "--now", "ramstroke.service")
     host.say("started: `systemctl status ramstroke`, `ramstroke status`")

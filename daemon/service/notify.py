@@ -11,6 +11,7 @@ class Notifier:
 
     def __init__(self, address: str | None = None) -> None:
         self._address = os.environ.get("NOTIFY_SOCKET") if address is None else address
+        self.watchdog_s = _watchdog_s()  # WatchdogSec; None: nobody waits for signs of life
 
     def ready(self) -> None:
         """The service has started."""
@@ -39,3 +40,11 @@ class Notifier:
                 channel.sendto(message.encode(), address)
             except OSError:
                 return  # systemd has gone or does not listen: nothing depends on the words
+
+
+def _watchdog_s() -> float | None:
+    """Of sd_watchdog_enabled(3)."""
+    limit_us, process = os.environ.get("WATCHDOG_USEC", ""), os.environ.get("WATCHDOG_PID", str(os.getpid()))
+    if not limit_us.isdigit() or process != str(os.getpid()):
+        return None
+    return int(limit_us) * 1e-6 or None

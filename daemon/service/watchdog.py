@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 PATIENCE_S = 4.0  # without progress; systemd then waits WatchdogSec more before it acts
+USUAL_LIMIT_S = 10.0  # WatchdogSec of the shipped unit
 
 
 @dataclass(slots=True)
@@ -20,7 +21,8 @@ class _Part:
 class Watchdog:
     """Counts of work done, one for each part.
 
-    A part whose device is ill still makes progress: it tries again, and counts that. Only one that hangs does not.
+    A part whose device is ill still makes progress: it tries again, and counts that. Only one that hangs does not;
+    one that is slow, such as a port whose transfers time out, stands still and goes on before systemd acts.
     """
 
     parts: dict[str, _Part] = field(default_factory=dict)
@@ -45,3 +47,22 @@ class Watchdog:
             elif now_s - part.since_s >= PATIENCE_S:
                 standing[name] = now_s - part.since_s
         return standing
+
+
+def hanging(standing: dict[str, float], limit_s: float | None) -> dict[str, str]:
+    """The laggards that have used up half of systemd's patience, and what that leads to, in words.
+
+    Args:
+        standing: of `Watchdog.laggards`.
+        limit_s: systemd's WatchdogSec; None: it does not wait for signs of life.
+    """
+    told_s = PATIENCE_S + (limit_s or USUAL_LIMIT_S) / 2
+    follows = "no watchdog starts the program anew"
+    if limit_s is not None and standing:
+        left_s = max(PATIENCE_S + limit_s - max(standing.values()), 0.0)
+        follows = f"unless it goes on, systemd starts the program anew in {left_s:.0f} s"
+    return {
+        name: f"{name} has stood still for {seconds:.0f} s: {follows}"
+        for name, seconds in standing.items()
+        if seconds >= told_s
+    }

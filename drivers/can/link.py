@@ -34,6 +34,18 @@ class LinkFacts:
     dropped: int | None = None
 
 
+def can_interfaces() -> list[str]:
+    """The names of all CAN interfaces of this computer."""
+
+    def is_can(folder: Path) -> bool:
+        try:
+            return int((folder / "type").read_text()) == _ARPHRD_CAN
+        except (OSError, ValueError):
+            return False
+
+    return sorted(folder.name for folder in _SYS.glob("*") if is_can(folder))
+
+
 def read_link(name: str) -> LinkFacts:
     """How the interface is now."""
     if not (_SYS / name).exists():

@@ -16,7 +16,7 @@ from daemon.configuration_reference import nested_model, sections
 from daemon.settings import Settings
 
 FOLDER = Path(__file__).parents[2] / "config"
-FILES = ("ramstroke.toml", "trial.toml", "bench.toml")
+FILES = ("ramstroke.toml", "trial.toml", "trial_service.toml", "bench.toml")
 # A default that is commented out begins with "#key" or "#[section]"; prose begins with "# ".
 _COMMENTED = re.compile(r"^#(?=[\w\[])", re.M)
 
@@ -79,6 +79,19 @@ def test_trial_joins_sim_and_run_over_a_socket_and_multicast_and_publishes() -> 
     assert settings.can.reference is not None
     _writes_only_below(settings, Path("/tmp/ramstroke-trial"))
     assert Path(settings.imu.socket_path).parent == Path("/tmp/ramstroke-trial")
+
+
+def test_the_trial_of_the_service_keeps_away_from_what_the_real_support_taught() -> None:
+    settings, real = load(FOLDER / "trial_service.toml"), Settings()
+    assert (settings.imu.transport, settings.can.interface, settings.can.channel) == ("socket", "socketcan", "vcan0")
+    assert settings.can.publish.enabled
+    assert settings.service.socket == real.service.socket  # `ramstroke status` finds it
+    for ours, theirs in (
+        (settings.recording.directory, real.recording.directory),
+        (settings.service.state_file, real.service.state_file),
+    ):
+        assert ours.is_relative_to("/var/lib/ramstroke/trial")
+        assert not theirs.is_relative_to("/var/lib/ramstroke/trial")
 
 
 def test_bench_is_virtual_throughout() -> None:

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import grp
 import os
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from daemon.doctor import disk, machine, memory, node, program, service
-from daemon.doctor.report import Check, Verdict
-from daemon.doctor.rights import READ, WRITE, User, nearest_folder, this_user
+from daemon.doctor import disk, follow_ups, machine, memory, node, program, service
+from daemon.doctor.report import Check, Verdict, fault, warning
+from daemon.doctor.rights import INSTALL, READ, WRITE, User, groups_to_join, nearest_folder, this_user
 from daemon.doctor.unit import Unit, unit_of
 from daemon.recording.settings import RecorderSettings
+from daemon.service.installer import fitted
 from daemon.service.state_file import SavedState, save
 from daemon.settings import Settings
 from drivers.adis16448.configuration import ImuSettings
@@ -135,11 +138,25 @@ def test_a_file_is_no_device(tmp_path: Path) -> None:
     assert "is no device" in check.found
 
 
-def test_missing_rights_name_the_group() -> None:
+@pytest.fixture
+def group_device(tmp_path: Path) -> Path:
+    """As udev leaves a port: for the members of a group."""
+    device = tmp_path / "spidev0.0"
+    device.write_text("")
+    os.chown(device, 0, grp.getgrnam("dialout").gr_gid)
+    device.chmod(0o660)
+    return device
+
+
+def test_missing_rights_name_the_group(group_device: Path) -> None:
+    assert groups_to_join(NOBODY, [group_device]).startswith("sudo usermod -aG dialout ramstroke, then ")
+
+
+def test_a_device_that_no_group_may_use_is_not_mended_by_a_group() -> None:
     check = node.examine(about(Path("/dev/kmsg")), NOBODY)
     assert check is not None
     assert check.verdict is Verdict.FAULT
-    assert check.advice.startswith(f"sudo usermod -aG {check.figures['group']} ramstroke")
+    assert check.advice.startswith(INSTALL)
 
 
 def test_a_device_that_is_well_needs_no_word(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -262,7 +279,7 @@ def test_another_configuration_than_the_service_s_is_a_warning(tmp_path: Path) -
 def test_a_user_that_does_not_exist_is_a_fault() -> None:
     check = service.judge_rights(unit_of(SHOWN.replace("User=root", "User=no-such-user")), Settings())
     assert check.verdict is Verdict.FAULT
-    assert "useradd" in check.advice
+    assert check.advice.startswith(INSTALL)
 
 
 def test_the_service_s_user_needs_the_devices(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -287,7 +304,61 @@ def test_without_systemd_or_unit_that_is_said(tmp_path: Path) -> None:
     assert (check.verdict, check.found) == (Verdict.NOT_CHECKED, NO_SYSTEMD)
     (check,) = looked_at_service(tmp_path, Unit(is_installed=False))
     assert check.verdict is Verdict.WARNING
-    assert len(looked_at_service(tmp_path, unit_of(SHOWN))) == 3
+    assert len(looked_at_service(tmp_path, unit_of(SHOWN))) == 4
+
+
+def test_a_unit_of_another_version_is_told(tmp_path: Path) -> None:
+    file = tmp_path / "ramstroke.service"
+    file.write_text(fitted("ramstroke.service"))
+    unit = replace(unit_of(SHOWN), file=file)
+    assert service.judge_file(unit).verdict is Verdict.OK
+    file.write_text(file.read_text().replace("WatchdogSec=10", "WatchdogSec=0"))
+    assert service.judge_file(unit).verdict is Verdict.WARNING
+    assert service.judge_file(replace(unit, file=tmp_path / "gone")).verdict is Verdict.NOT_CHECKED
+
+
+@pytest.mark.parametrize(
+    ("lines", "writable"),
+    [
+        ("", None),
+        ("ProtectSystem=full\nStateDirectory=ramstroke", None),
+        (
+            "ProtectSystem=strict\nStateDirectory=ramstroke\nReadWritePaths=-/mnt/a /b",
+            ["/mnt/a", "/b", "/var/lib/ramstroke", "/run/ramstroke"],
+        ),
+    ],
+)
+def test_folders_that_the_sandbox_leaves_open(lines: str, writable: list[str] | None) -> None:
+    found = unit_of(SHOWN + lines).writable
+    assert (found and [str(path) for path in found]) == writable
+
+
+def test_a_folder_outside_the_sandbox_is_a_fault_though_its_user_may_write(tmp_path: Path) -> None:
+    inside, outside = tmp_path / "a", tmp_path / "ab"
+    inside.mkdir()
+    outside.mkdir()
+    judged = [disk.judge_folder("x", one, this_user(), "directory", [inside]) for one in (inside / "deep", outside)]
+    assert [check.verdict for check in judged] == [Verdict.OK, Verdict.FAULT]
+    assert f"ReadWritePaths={outside}" in judged[1].advice
+
+
+# --- what follows from what -----------------------------------------------------------------------------------
+
+
+def test_what_follows_from_a_fault_is_nothing_to_mend_of_its_own() -> None:
+    checks = [
+        fault("CAN interface", "vcan0 is down", "set it up"),
+        fault("daemon: can", "vcan0 is down", "wait"),
+        warning("daemon: displacement", "silent", "see"),
+        fault("daemon: imu", "waiting", "plug it in"),
+        warning("daemon: estimator", "no estimate", "see"),
+        warning("clock", "no time server", "see"),
+        fault("service's rights", "may not", "join"),
+        fault("SPI port", "may not", "join"),
+    ]
+    roots = [check.follows_from for check in follow_ups.marked(checks)]
+    assert roots == ["", "CAN interface", "CAN interface", "", "CAN interface", "", "", "service's rights"]
+    assert [check.follows_from for check in follow_ups.marked(checks[2:3] + checks[4:6])] == ["", "", ""]
 
 
 # --- the learned state ----------------------------------------------------------------------------------------

@@ -12,7 +12,17 @@ import pytest
 from daemon.cli import main
 from daemon.errors import CommandError
 from daemon.service import installer
-from daemon.service.installer import CONFIGURATION, FILES, REALTIME, STATE, shipped
+from daemon.service.installer import (
+    CONFIGURATION,
+    DROP_INS,
+    FILES,
+    REALTIME,
+    STATE,
+    TRIAL,
+    TRIAL_CONFIGURATION,
+    configuration_in_use,
+    shipped,
+)
 
 
 def install(root: Path, *more: str) -> int:
@@ -84,6 +94,50 @@ def test_a_bad_configuration_is_not_started(tmp_path: Path, capsys: pytest.Captu
     assert install(tmp_path, "--start") == 0
 
 
+def test_a_trial_has_its_own_configuration_outlasts_an_upgrade_and_is_ended(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    host = installer.Host(tmp_path, print)
+    assert install(tmp_path, "--trial") == 0
+    assert "until: sudo ramstroke install-service --no-trial" in capsys.readouterr().out
+    drop_in = (tmp_path / TRIAL).read_text()
+    assert f"ExecStart={sys.prefix}/bin/ramstroke run --config /{TRIAL_CONFIGURATION}" in drop_in
+    assert configuration_in_use(host) == TRIAL_CONFIGURATION
+    real, own = tmp_path / CONFIGURATION, "[simulation]\nseed = 3\n"
+    before = real.read_text()
+    (tmp_path / TRIAL_CONFIGURATION).write_text(own)
+    (tmp_path / TRIAL).write_text("[Unit]\n# of an older version\n")
+    assert install(tmp_path) == 0
+    assert "until: sudo ramstroke install-service --no-trial" in capsys.readouterr().out
+    assert (tmp_path / TRIAL).read_text() == drop_in
+    assert install(tmp_path, "--no-trial") == 0
+    assert "on trial" not in capsys.readouterr().out
+    assert not (tmp_path / DROP_INS).exists()
+    assert configuration_in_use(host) == CONFIGURATION
+    assert real.read_text() == before
+    assert (tmp_path / TRIAL_CONFIGURATION).read_text() == own
+
+
+def test_a_trial_is_not_started_with_a_bad_configuration(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    config = tmp_path / TRIAL_CONFIGURATION
+    config.parent.mkdir(parents=True)
+    config.write_text("[imu]\nspi_port = 1\n")
+    assert install(tmp_path, "--trial", "--start") == 2
+    assert "trial.toml" in capsys.readouterr().err
+    assert install(tmp_path, "--no-trial", "--start") == 0
+
+
+def test_what_people_wrote_for_the_unit_stays_without_purge(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert install(tmp_path, "--realtime", "--trial") == 0
+    own = tmp_path / DROP_INS / "override.conf"
+    own.write_text("[Service]\nReadWritePaths=/mnt/recordings\n")
+    assert main(["remove-service", "--root", str(tmp_path)]) == 0
+    assert f"kept /{DROP_INS}" in capsys.readouterr().out
+    assert [path.name for path in own.parent.iterdir()] == ["override.conf"]
+    assert main(["remove-service", "--root", str(tmp_path), "--purge"]) == 0
+    assert not own.parent.exists()
+
+
 @pytest.mark.parametrize("command", ["install-service", "remove-service"])
 def test_what_cannot_be_written_is_one_sentence(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str, monkeypatch: pytest.MonkeyPatch
@@ -148,5 +202,5 @@ def test_the_sandbox_is_as_tight_as_promised(name: str, tmp_path: Path) -> None:
 def test_the_wheel_carries_the_units() -> None:
     text = (Path(__file__).parents[2] / "pyproject.toml").read_text()
     assert '"systemd" = "daemon/systemd"' in text
-    for name in (*FILES, "ramstroke-realtime.conf"):
+    for name in (*FILES, "ramstroke-realtime.conf", "ramstroke-trial.conf"):
         assert shipped(name)

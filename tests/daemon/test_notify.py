@@ -73,3 +73,23 @@ def test_a_listener_that_does_not_read_holds_nobody_up(short_path: Path) -> None
             notifier.status(f"word {number}")
         channel.setblocking(False)
         assert channel.recv(100) == b"STATUS=word 0"
+
+
+@pytest.mark.parametrize(
+    ("variables", "limit_s"),
+    [
+        ({}, None),
+        ({"WATCHDOG_USEC": "10000000"}, 10.0),
+        ({"WATCHDOG_USEC": "10000000", "WATCHDOG_PID": "1"}, None),  # of another process
+        ({"WATCHDOG_USEC": "ten"}, None),
+        ({"WATCHDOG_USEC": "0"}, None),
+    ],
+)
+def test_how_long_systemd_waits_for_a_sign_of_life(
+    variables: dict[str, str], limit_s: float | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("WATCHDOG_USEC", "WATCHDOG_PID"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value)
+    assert Notifier("").watchdog_s == limit_s

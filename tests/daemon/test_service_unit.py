@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from daemon import cli
+from daemon.configuration import load
 from daemon.errors import FAILED, MISUSED
 from daemon.settings import Settings
 
@@ -17,10 +18,24 @@ ROOT = Path(__file__).parents[2]
 
 @pytest.fixture(scope="module")
 def unit() -> configparser.ConfigParser:
+    return read("ramstroke.service")
+
+
+def read(name: str) -> configparser.ConfigParser:
     parser = configparser.ConfigParser(strict=False, interpolation=None, delimiters=("=",))
     parser.optionxform = str  # type: ignore[assignment,method-assign]  # systemd minds the case
-    assert parser.read(ROOT / "systemd" / "ramstroke.service") != []
+    assert parser.read(ROOT / "systemd" / name) != []
     return parser
+
+
+def test_the_support_of_a_trial_comes_and_goes_with_the_daemon() -> None:
+    drop_in, support = (read(name) for name in ("ramstroke-trial.conf", "ramstroke-sim.service"))
+    assert drop_in["Unit"]["Wants"] == "ramstroke-sim.service"
+    assert support["Unit"]["PartOf"] == support["Unit"]["Before"] == "ramstroke.service"
+    configuration = support["Service"]["ExecStart"].split("--config ")[1]
+    assert drop_in["Service"]["ExecStart"].endswith(f"ramstroke run --config {configuration}")
+    socket = load(ROOT / "config" / "trial_service.toml").imu.socket_path
+    assert Path(socket).parent == Path("/run") / support["Service"]["RuntimeDirectory"]
 
 
 def test_a_failed_run_is_started_again_within_limits(unit: configparser.ConfigParser) -> None:

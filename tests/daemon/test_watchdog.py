@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from daemon.service.watchdog import PATIENCE_S, Watchdog
+from daemon.service.watchdog import PATIENCE_S, Watchdog, hanging
 
 
 class Counter:
@@ -44,3 +44,16 @@ def test_a_part_that_need_not_work_may_rest_and_has_its_full_patience_afterwards
     wanted.append(True)
     assert watchdog.laggards(100 + PATIENCE_S - 0.1) == {}
     assert watchdog.laggards(100 + PATIENCE_S) == {"estimator": PATIENCE_S}
+
+
+def test_only_what_has_used_up_half_of_systemds_patience_is_told_to_hang() -> None:
+    assert hanging({"imu": PATIENCE_S + 4.9, "can": PATIENCE_S}, limit_s=10.0) == {}
+    told = hanging({"imu": PATIENCE_S + 5.5, "can": PATIENCE_S}, limit_s=10.0)
+    assert told == {"imu": "imu has stood still for 10 s: unless it goes on, systemd starts the program anew in 4 s"}
+    assert hanging({"imu": 60.0}, limit_s=10.0)["imu"].endswith("in 0 s")
+
+
+def test_without_systemd_no_start_is_announced() -> None:
+    assert hanging({"imu": 60.0}, limit_s=None) == {
+        "imu": "imu has stood still for 60 s: no watchdog starts the program anew"
+    }

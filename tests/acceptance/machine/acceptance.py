@@ -13,7 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
-from tests.acceptance.machine.build import Built, build
+from tests.acceptance.machine.build import Built, build, build_next_version
 from tests.acceptance.machine.host_replay import TOLERANCE_MM, largest_difference_mm
 from tests.acceptance.machine.machine import Outcome, overlay, run_in_machine
 from tests.acceptance.machine.root import CHECKOUT, HERE
@@ -21,33 +21,59 @@ from tests.acceptance.machine.tools import MachineError
 
 # Each test file in a start of the machine; those of one group see the same disk.
 GROUPS = {
-    "service": ("service_failures",),  # the longest first
+    "by_the_book": ("by_the_book",),  # the longest first
+    "doctor": ("doctor",),
+    "service": ("service_failures",),
+    "trial": ("trial",),
     "power_cut": ("power_cut", "after_power_cut"),
     "sensor": ("sensor_failures",),
     "main_path": ("main_path",),
     "installation": ("installation",),
-    "bus": ("bus_failures",),
     "controller": ("can_controller",),
+    "bus": ("bus_failures",),
 }
-TIMEOUT_S = 900.0
+TIMEOUT_S = 1200.0
 # A second start finds this much later on its clock than the first did.
 POWER_OFF_UNTIL = timedelta(seconds=60)
 _SHOWN_LINES = 150  # of the journal, if something failed
 
 _COMMAND = (
-    "exec /opt/ramstroke/bin/python -m pytest -c tests/acceptance/machine/guest/pytest.ini --rootdir=/share "
-    "-p no:cacheprovider --junitxml=/share/results/junit.xml {target}\n"
+    "exec {python} -m pytest -c tests/acceptance/machine/guest/pytest.ini --rootdir=/share "
+    "-p no:cacheprovider --junitxml=/share/results/junit.xml {options}{target}\n"
 )
+_PYTHON = "/opt/ramstroke/bin/python"
+# Each test there needs the one before.
+_STEPS = ("by_the_book", "trial")
+# Of a computer that has never seen the program: the tests take their own Python away with them.
+_ON_A_CLEAN_MACHINE = ("by_the_book",)
+_MOVED_PYTHON = "/opt/tests/bin/python"
 
 
-def prepare_share(share: Path, target: str) -> None:
-    """What the machine sees of the checkout: tests, unit, bus layouts, but not the program."""
+def prepare_share(share: Path, name: str) -> None:
+    """What the machine sees of the checkout: tests, documents, units, bus layouts, but not the program."""
     shutil.copytree(HERE / "guest", share / "tests/acceptance/machine/guest")
     shutil.copy(HERE / "support.py", share / "tests/acceptance/machine")
     shutil.copytree(CHECKOUT / "systemd", share / "systemd")
     shutil.copytree(CHECKOUT / "config" / "dbc", share / "config" / "dbc")
+    (share / "docs").mkdir()
+    shutil.copy(CHECKOUT / "docs" / "installation.md", share / "docs")
     (share / "results").mkdir()
-    (share / "command").write_text(_COMMAND.format(target=target))
+    is_clean = name in _ON_A_CLEAN_MACHINE
+    command = _COMMAND.format(
+        python=_MOVED_PYTHON if is_clean else _PYTHON,
+        options="--exitfirst " if name in _STEPS else "",
+        target=f"tests/acceptance/machine/guest/test_{name}.py",
+    )
+    (share / "command").write_text(f"mv /opt/ramstroke /opt/tests\n{command}" if is_clean else command)
+
+
+def add_wheels(share: Path, built: Built) -> None:
+    """Program and all it needs, as gathered for a computer without network; and the program's next version."""
+    dist = share / "dist"
+    shutil.copytree(built.wheels, dist)
+    shutil.copy(built.wheel, dist)
+    (share / "next").mkdir()
+    build_next_version(share / "next")
 
 
 def run_group(built: Built, group: str, folder: Path) -> list[str]:
@@ -61,8 +87,11 @@ def run_group(built: Built, group: str, folder: Path) -> list[str]:
             share = folder / name
             shutil.rmtree(share, ignore_errors=True)
             share.mkdir(parents=True)
-            prepare_share(share, f"tests/acceptance/machine/guest/test_{name}.py")
-            outcome = run_in_machine(built, share, TIMEOUT_S, disk, began + number * POWER_OFF_UNTIL)
+            prepare_share(share, name)
+            if name in _ON_A_CLEAN_MACHINE:
+                add_wheels(share, built)
+            started = began + number * POWER_OFF_UNTIL
+            outcome = run_in_machine(built, share, TIMEOUT_S, disk, started, leaps=name not in _ON_A_CLEAN_MACHINE)
             _report(name, outcome)
             if outcome.code != 0:
                 failed.append(name)
@@ -97,6 +126,7 @@ def main() -> int:
             for group in arguments.groups:
                 for name in GROUPS[group]:
                     _tell_failures(folder / name / "results" / "failures.jsonl")
+                    _tell_doctor(folder / name / "results" / "doctor.jsonl")
     except MachineError as error:
         print(f"acceptance machine: {error}", file=sys.stderr)
         return 1
@@ -111,6 +141,14 @@ def _tell_failures(path: Path) -> None:
         after = "" if row["good_after_s"] is None else f": good data after {row['good_after_s']:.1f} s"
         print(f"{row['failure']}{after}")
         print("".join(f"    {said}\n" for said in row["journal"]), end="")
+
+
+def _tell_doctor(path: Path) -> None:
+    """What doctor wants mended on each set-up."""
+    for line in path.read_text().splitlines() if path.exists() else ():
+        row = json.loads(line)
+        print(f"doctor, {row['set_up']}: exit code {row['code']}")
+        print("".join(f"    {said}\n" for said in row["to_do"]), end="")
 
 
 def _report(group: str, outcome: Outcome) -> None:

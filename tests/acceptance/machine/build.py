@@ -9,6 +9,7 @@ from __future__ import annotations
 import fcntl
 import hashlib
 import os
+import re
 import shutil
 import sys
 import tempfile
@@ -40,6 +41,8 @@ class Built:
     kernel: Path
     initramfs: Path
     image: Path
+    wheel: Path  # of the program that is in the image
+    wheels: Path  # folder with what it needs
 
 
 def cache_folder() -> Path:
@@ -63,16 +66,44 @@ def _build_in(cache: Path) -> Built:
     base = cache / f"base-{_key(_base_sources())}"
     if not base.exists():
         _build_base(base)
+    program = base / "program"
     with tempfile.TemporaryDirectory(dir=cache) as scratch:
-        run([sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", scratch], cwd=CHECKOUT)
-        (wheel,) = Path(scratch).glob("*.whl")
-        image = base / f"image-{_key([wheel])}.ext4"
+        built = build_wheel(CHECKOUT, Path(scratch))
+        wheel = program / built.name
+        image = base / f"image-{_key([built])}.ext4"
         if not image.exists():
             for old in base.glob("image-*"):
                 old.unlink()
-            install_program(base / "root", wheel)
+            shutil.rmtree(program, ignore_errors=True)
+            program.mkdir()
+            install_program(base / "root", built)
+            shutil.copy(built, wheel)
             make_image(base / "root", image)
-    return Built(base / "vmlinux", base / "initramfs", image)
+    return Built(base / "vmlinux", base / "initramfs", image, wheel, base / "wheels")
+
+
+def build_wheel(sources: Path, folder: Path) -> Path:
+    """The program's."""
+    run([sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", folder], cwd=sources)
+    (wheel,) = folder.glob("ramstroke-*.whl")
+    return wheel
+
+
+def build_next_version(folder: Path) -> Path:
+    """A wheel of the same program under the next version's number."""
+    with tempfile.TemporaryDirectory(prefix="ramstroke-next-") as scratch:
+        sources = Path(scratch) / "sources"
+        shutil.copytree(CHECKOUT, sources, ignore=shutil.ignore_patterns(".*", "tests", "docs", "__pycache__"))
+        project = sources / "pyproject.toml"
+        text, found = re.subn(r'(?m)^(version = "\d+\.\d+\.)(\d+)"$', _raised, project.read_text())
+        if found != 1:
+            raise MachineError(f'{project.name} has no line such as version = "0.1.0"')
+        project.write_text(text)
+        return build_wheel(sources, folder)
+
+
+def _raised(version: re.Match[str]) -> str:
+    return f'{version[1]}{int(version[2]) + 1}"'
 
 
 def _build_base(base: Path) -> None:
@@ -85,7 +116,7 @@ def _build_base(base: Path) -> None:
         done.mkdir()
         kernel = fetch_kernel(work / "kernel")
         make_root(done / "root", kernel)
-        make_environment(done / "root", work)
+        make_environment(done / "root", done / "wheels", work)
         make_initramfs(work, kernel, done / "initramfs")
         shutil.move(kernel.image, done / "vmlinux")
         done.rename(base)
@@ -94,7 +125,7 @@ def _build_base(base: Path) -> None:
 def _base_sources() -> list[Path]:
     scripts = [HERE / f"{name}.py" for name in ("build", "kernel", "root")]
     files = [path for folder in (*OWN_MODULES, IMAGE_FILES) for path in sorted(folder.rglob("*")) if path.is_file()]
-    project = [CHECKOUT / name for name in ("pyproject.toml", "constraints.txt", "docs/installation.md")]
+    project = [CHECKOUT / name for name in ("pyproject.toml", "constraints.txt")]
     return [*scripts, *files, *project]
 
 

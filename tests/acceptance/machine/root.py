@@ -75,19 +75,20 @@ def make_root(root: Path, kernel: Kernel) -> None:
     _in(root, "systemctl", "enable", "machine-command.service")
 
 
-def make_environment(root: Path, scratch: Path) -> None:
-    """Everything in /opt/ramstroke but the program itself."""
-    wheels = root / "wheels"
-    wanted = [f"{CHECKOUT}[hardware]", *_FOR_TESTS]
-    constraints = CHECKOUT / "constraints.txt"
-    pip = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"]
-    run([*pip, "wheel", "--wheel-dir", wheels, "-c", constraints, *wanted], cwd=scratch)
+def make_environment(root: Path, wheels: Path, scratch: Path) -> None:
+    """Everything in /opt/ramstroke but the program itself; its packages stay in `wheels`, as for an offline install."""
+    constraints = str(CHECKOUT / "constraints.txt")
+    pip = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check", "wheel", "-c", constraints]
+    run([*pip, "--wheel-dir", wheels, f"{CHECKOUT}[hardware]"], cwd=scratch)
     for own in wheels.glob("ramstroke-*.whl"):
         own.unlink()
+    seen = root / "wheels"
+    shutil.copytree(wheels, seen)
+    run([*pip, "--wheel-dir", seen, *_FOR_TESTS], cwd=scratch)
     _in(root, "python3", "-m", "venv", "/opt/ramstroke")
-    names = [f"/wheels/{path.name}" for path in wheels.glob("*.whl")]
+    names = [f"/wheels/{path.name}" for path in seen.glob("*.whl")]
     _in(root, f"{BIN}/pip", "--quiet", "install", "--no-index", "--no-deps", *names)
-    shutil.rmtree(wheels)
+    shutil.rmtree(seen)
 
 
 def install_program(root: Path, wheel: Path) -> None:

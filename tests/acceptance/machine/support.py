@@ -11,6 +11,7 @@ The file FAULT says what goes wrong, until it is deleted:
     late S        they are answered S seconds late
     product N     PROD_ID holds another number
     open          the data wire is open
+    low           it stays low
     edges         no data-ready edges
 
 ACCOUNT holds what was counted, violations of the data sheet among them, once a second.
@@ -116,8 +117,8 @@ class Support:
             return None
         if kind == "error":
             return b""
-        if kind == "open":
-            return b"\xff" * len(data)
+        if kind in ("open", "low"):
+            return (b"\xff" if kind == "open" else b"\x00") * len(data)
         if kind == "late":
             time.sleep(float(value))
         answer = self._part.transfer(data, speed_hz, asked_ns)

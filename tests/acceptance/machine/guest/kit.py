@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -65,9 +66,8 @@ def add_bus() -> None:
 def start_support(config: Path = CONFIG) -> None:
     """The virtual support, which begins to move ten seconds after it was first asked something."""
     script = HERE.parent / "support.py"
-    python = "/opt/ramstroke/bin/python"
     unit = ["systemd-run", "--quiet", "--unit=machine-support", "--property=Restart=no", f"--working-directory={SHARE}"]
-    run(*unit, python, "-P", script, config)
+    run(*unit, sys.executable, "-P", script, config)
 
 
 def exchange_support() -> None:
@@ -86,10 +86,24 @@ def write_config(path: Path, channel: str) -> None:
 def install_service(channel: str = "vcan0") -> None:
     """As docs/installation.md says, with the configuration of this folder."""
     write_config(CONFIG, channel)
+    allow_slowness()
+    run(RAMSTROKE, "install-service")
+
+
+def allow_slowness() -> None:
+    """The service has more time than its unit gives."""
     slow = Path("/etc/systemd/system/ramstroke.service.d/slow-machine.conf")
     slow.parent.mkdir(exist_ok=True)
     slow.write_text(_DROP_IN)
-    run(RAMSTROKE, "install-service")
+    run("systemctl", "daemon-reload")
+
+
+def set_up() -> None:
+    """A computer that is ready: devices, bus, the service, which is not started, and the support."""
+    load_devices()
+    add_bus()
+    install_service()
+    start_support()
 
 
 def start_service() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import subprocess
-from collections.abc import Iterator
 
 import can
 import pytest
@@ -11,12 +10,7 @@ import pytest
 from tests.acceptance.machine.guest.kit import (
     Journal,
     add_bus,
-    install_service,
-    load_devices,
-    properties,
     run,
-    start_service,
-    start_support,
     state_of,
     status,
     wait_for,
@@ -27,28 +21,15 @@ BUS_OFF, BUS_ERROR, RESTARTED = 0x40, 0x80, 0x100  # linux/can/error.h
 FOREIGN = 20_000  # frames, two thousand a second
 
 
-@pytest.fixture(scope="module", autouse=True)
-def running() -> Iterator[None]:
-    """The service with its sensor and its bus; one start for all tests."""
-    load_devices()
-    add_bus()
-    install_service()
-    start_support()
-    start_service()
-    seconds_to_good_data(good_readings)
-    yield
-    assert properties("NRestarts", "ActiveState") == {"NRestarts": "0", "ActiveState": "active"}
+pytestmark = pytest.mark.usefixtures("running")
 
 
-@pytest.fixture
-def journal() -> Iterator[Journal]:
-    """From the beginning of the test on."""
+@pytest.fixture(autouse=True)
+def well() -> None:
+    """Each test begins with a bus that is well."""
     # Not of the displacement's value: a virtual support that was held up has moved meanwhile, and may be doubted.
     wait_for("a bus that is well", lambda: state_of("can") == "ok")
     seconds_to_good_data(good_readings)
-    journal = Journal()
-    yield journal
-    journal.close()
 
 
 def send(*messages: can.Message) -> None:

@@ -24,14 +24,11 @@ from tests.acceptance.machine.guest.kit import (
     SHARE,
     Journal,
     account,
-    add_bus,
-    install_service,
     keep,
-    load_devices,
     properties,
     run,
+    set_up,
     start_service,
-    start_support,
     status,
 )
 
@@ -56,11 +53,8 @@ class Cycle:
 
 @pytest.fixture(scope="module")
 def cycle() -> Iterator[Cycle]:
-    load_devices()
-    add_bus()
-    install_service()
+    set_up()
     journal = Journal()
-    start_support()
     dump = RESULTS / "can.log"
     RESULTS.mkdir(exist_ok=True)
     with dump.open("w") as file, subprocess.Popen(["candump", "-L", "vcan0,6F0:7FF"], stdout=file) as candump:

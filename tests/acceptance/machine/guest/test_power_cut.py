@@ -6,25 +6,19 @@ import os
 
 from tests.acceptance.machine.guest.kit import (
     Journal,
-    add_bus,
-    install_service,
-    load_devices,
     run,
+    set_up,
     start_service,
-    start_support,
     status,
     wait_for,
 )
 
 
 def test_the_power_is_cut_in_the_middle_of_a_push() -> None:
-    load_devices()
-    add_bus()
-    install_service()
+    set_up()
     run("systemctl", "enable", "--quiet", "ramstroke")
     run("sync")
     journal = Journal()
-    start_support()
     start_service()
     journal.wait_for("start confirmed (push)")
     wait_for("the middle of the push", lambda: status()["estimate"]["displacement_mm"] > 200.0)

@@ -8,43 +8,24 @@ import pytest
 
 from tests.acceptance.machine.guest.kit import (
     Journal,
-    add_bus,
     exchange_support,
-    install_service,
-    load_devices,
-    properties,
     run,
     set_fault,
-    start_service,
-    start_support,
     state_of,
     status,
     wait_for,
 )
 from tests.acceptance.machine.guest.rows import good_samples, no_good_data_for, row, seconds_to_good_data
 
-
-@pytest.fixture(scope="module", autouse=True)
-def running() -> Iterator[None]:
-    """The service with its sensor and its bus; one start for all tests."""
-    load_devices()
-    add_bus()
-    install_service()
-    start_support()
-    start_service()
-    seconds_to_good_data()
-    yield
-    assert properties("NRestarts", "ActiveState") == {"NRestarts": "0", "ActiveState": "active"}
+pytestmark = pytest.mark.usefixtures("running")
 
 
-@pytest.fixture
-def journal() -> Iterator[Journal]:
-    """From the beginning of the test on."""
+@pytest.fixture(autouse=True)
+def well() -> Iterator[None]:
+    """Each test begins with a sensor that is well, and leaves no fault behind."""
     wait_for("a sensor that is well", lambda: state_of("imu") == "ok")
-    journal = Journal()
-    yield journal
+    yield
     set_fault("")
-    journal.close()
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -45,14 +44,6 @@ def installed() -> None:
 
 def mount() -> None:
     run("mount", "-o", "loop,errors=remount-ro", DISK, RECORDINGS)
-
-
-@pytest.fixture
-def journal() -> Iterator[Journal]:
-    """From the beginning of the test on."""
-    journal = Journal()
-    yield journal
-    journal.close()
 
 
 def test_devices_may_come_after_the_service(journal: Journal) -> None:
