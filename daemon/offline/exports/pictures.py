@@ -38,7 +38,7 @@ class _Stretch:
     end_ns: int
 
 
-def draw_pictures(folder: Path, name: str, collected: Collector, moves: Sequence[Move]) -> list[Path]:
+def draw_pictures(folder: Path, name: str, collected: Collector, moves: Sequence[Move], stroke_mm: float) -> list[Path]:
     """The overview and each move. Raises PlotError or RecordingError; all pictures appear, or none."""
     collected.finish()
     begin_ns, end_ns = collected.first_ns or 0, collected.last_ns or 0
@@ -58,11 +58,11 @@ def draw_pictures(folder: Path, name: str, collected: Collector, moves: Sequence
             for ending in ("png", "pdf"):
                 written.append(folder / f"{stretch.name}.{ending}")
                 part = stack.enter_context(whole_file(written[-1]))
-                _draw(stretch, collected, begin_ns, part, ending)
+                _draw(_Shown(stretch, collected, begin_ns, stroke_mm), part, ending)
     return written
 
 
-def _draw(stretch: _Stretch, collected: Collector, zero_ns: int, path: Path, ending: str) -> None:
+def _draw(shown: _Shown, path: Path, ending: str) -> None:
     try:
         import matplotlib
 
@@ -74,7 +74,7 @@ def _draw(stretch: _Stretch, collected: Collector, zero_ns: int, path: Path, end
         3, 1, sharex=True, figsize=(7.2, 6.4), height_ratios=(3, 1.6, 1.6), layout="constrained"
     )
     try:
-        _fill(figure, axes, _Shown(stretch, collected, zero_ns))
+        _fill(figure, axes, shown)
         # Without dates the same recording makes the same files.
         metadata: dict[str, Any] = {"CreationDate": None} if ending == "pdf" else {"Software": None}
         figure.savefig(path, format=ending, dpi=DOTS_PER_INCH, metadata=metadata)
@@ -85,8 +85,9 @@ def _draw(stretch: _Stretch, collected: Collector, zero_ns: int, path: Path, end
 class _Shown:
     """The columns of a stretch."""
 
-    def __init__(self, stretch: _Stretch, collected: Collector, zero_ns: int) -> None:
+    def __init__(self, stretch: _Stretch, collected: Collector, zero_ns: int, stroke_mm: float) -> None:
         self.stretch = stretch
+        self._edges = -0.2 * stroke_mm, 1.2 * stroke_mm
         self._zero_ns = zero_ns
         self._steps, self.observed, self.reference = collected.steps, collected.observed, collected.reference
         t_ns = np.frombuffer(self._steps.t_ns, dtype=np.int64)
@@ -111,13 +112,14 @@ class _Shown:
         return np.repeat(at, 2), np.column_stack((low, high)).ravel()
 
     def points(self, readings: Any, *, good: bool = True) -> tuple[Any, Any]:
-        """Readings, thinned out where there are too many to tell apart."""
+        """Readings, thinned out where there are too many to tell apart; nonsense far off lies at the edge."""
         t_ns = np.frombuffer(readings.t_ns, dtype=np.int64)
         word = np.frombuffer(readings.word, dtype=np.uint8)
         inside = (t_ns >= self.stretch.begin_ns) & (t_ns <= self.stretch.end_ns) & ((word == 0) == good)
         places = np.flatnonzero(inside)
         places = places[:: max(1, len(places) // _MOST_POINTS)]
-        return self.seconds(t_ns[places]), np.frombuffer(readings.value, dtype=np.float32)[places]
+        values = np.frombuffer(readings.value, dtype=np.float32)[places]
+        return self.seconds(t_ns[places]), np.clip(values, *self._edges)
 
 
 def _fill(figure: Figure, axes: Sequence[Axes], shown: _Shown) -> None:
@@ -139,19 +141,19 @@ def _fill(figure: Figure, axes: Sequence[Axes], shown: _Shown) -> None:
         panel.fill_between(low[0], low[1], high[1], color=BLUE, alpha=0.18, linewidth=0, label="stated 95 %")
         panel.plot(*shown.line(middle), color=BLUE, linewidth=1.2, label="ramstroke")
     burst.plot(*shown.line(shown.column("acceleration")), color=BLUE, linewidth=0.5, label="levelled, along the push")
-    for limit, label in (("chart_lower", "_"), ("chart_upper", "chart limits")):
-        burst.plot(*shown.line(shown.column(limit)), color=VERMILION, linewidth=0.9, label=label)
+    for limit, name in (("chart_lower", None), ("chart_upper", "chart limits")):
+        burst.plot(*shown.line(shown.column(limit)), color=VERMILION, linewidth=0.9, label=name)
     stroke.set_ylabel("stroke [mm]")
     speed.set_ylabel("speed [mm/s]")
     burst.set_ylabel("acceleration [m/s²]")
-    burst.set_xlabel("time since the recording began [s]; orange: varying speed (VVS), green: constant speed (CVS)")
+    burst.set_xlabel("time since the recording began [s]    (orange: VVS, green: CVS)")
     figure.suptitle(shown.stretch.title)
     segments = runs(shown.t_ns, shown.column("segment", np.uint8))
     for panel in axes:
         for begin, end, code in segments:
-            colour = _COLOURS.get(SEGMENTS[code])
-            if colour is not None:
-                panel.axvspan(*shown.seconds(np.array([begin, end])), color=colour, alpha=0.18, linewidth=0)
+            shade = _COLOURS.get(SEGMENTS[code])
+            if shade is not None:
+                panel.axvspan(*shown.seconds(np.array([begin, end])), color=shade, alpha=0.18, linewidth=0)
         panel.margins(x=0)
         panel.grid(alpha=0.3)
         panel.legend(loc="best", fontsize=7)

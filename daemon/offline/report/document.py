@@ -44,10 +44,10 @@ def chapter(path: Path, reviewed: Review, collected: Collector) -> Chapter:
     begin_ns = collected.first_ns or 0
     clock = Clock.of(reviewed.metadata, begin_ns)
     findings = move_findings(reviewed, collected)
-    numbers = pack(collected, reviewed.replayed.moves, clock)
+    numbers = pack(collected, reviewed.replayed.moves, clock, reviewed.replayed.settings.support.stroke_mm)
     zero_ns = numbers.pop("zero_ns")
     parts = [
-        sections.head(path, reviewed, collected, clock, summary(reviewed, collected, clock)),
+        sections.head(path, reviewed, collected, clock, summary(reviewed, collected, findings, clock)),
         element("h3", "Moves"),
         sections.moves_table(findings, clock, zero_ns),
         element("h3", "Over time"),

@@ -47,7 +47,7 @@ def _finding(move: Move, reviewed: Review, collected: Collector) -> MoveFinding:
     innovations = innovations[np.isfinite(innovations)]
     largest = float(innovations[np.abs(innovations).argmax()]) if len(innovations) else float("nan")
     reference_mm = _reference_at(collected, move.stop_ns + STANDS_NS)
-    others = {name: _end_nearest(move, course.moves) for name, course in collected.others.items() if name}
+    others = {name: _end_nearest(move, course.moves) for name, course in collected.others.items()}
     is_good, verdict = _verdict(move, reference_mm)
     return MoveFinding(move, reviewed.smoothed_moves.of(move), largest, reference_mm, others, is_good, verdict)
 
@@ -87,9 +87,14 @@ def words(state: CanState | str) -> str:
     return str(state).replace("_", " ")
 
 
-def summary(reviewed: Review, collected: Collector, clock: Clock) -> list[tuple[bool, str]]:
+def summary(
+    reviewed: Review, collected: Collector, findings: list[MoveFinding], clock: Clock
+) -> list[tuple[bool, str]]:
     """The verdict on the recording in parts, the most important first, each with whether it is good."""
     said = [(bool(reviewed.replayed.moves), _moves_in_words(reviewed.replayed.moves))]
+    doubtful = sum(not finding.is_good for finding in findings)
+    if doubtful:
+        said.append((False, f"{doubtful} of them doubtful" if len(findings) > 1 else "it is doubtful"))
     said += _sensor_in_words(collected, clock)
     gaps = len(reviewed.gaps) + reviewed.gaps_not_shown
     if gaps:

@@ -27,7 +27,7 @@ Packed = dict[str, Any]
 _TICKS = 2**32  # fine times are 32-bit counts
 
 
-def pack(collected: Collector, moves: list[Move], clock: Clock) -> Packed:
+def pack(collected: Collector, moves: list[Move], clock: Clock, stroke_mm: float) -> Packed:
     """Everything that plots show; times are seconds from `zero_ns` on."""
     begin_ns, end_ns = collected.first_ns or 0, collected.last_ns or 0
     steps = collected.steps
@@ -56,6 +56,7 @@ def pack(collected: Collector, moves: list[Move], clock: Clock) -> Packed:
     return {
         "zero_ns": begin_ns,
         "clock": {"wall": clock.wall_minus_own_ns is not None, "name": clock.name, "zero": clock.axis_ms(begin_ns)},
+        "stroke_mm": stroke_mm,
         "length": (end_ns - begin_ns) * 1e-9,
         "grid": {"begin": 0.0, "cell": packer.grid.cell_ns * 1e-9, "cells": packer.grid.cells},
         "tick": packer.tick_ns * 1e-9,

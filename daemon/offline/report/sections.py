@@ -58,9 +58,9 @@ def moves_table(findings: Sequence[MoveFinding], clock: Clock, begin_ns: int) ->
     has_reference = any(not isnan(finding.reference_mm) for finding in findings)
     methods = list(dict.fromkeys(name for finding in findings for name in finding.others_mm))
     heads = [
-        "move", "onset", "stop", "start mm", "end mm", "± 1σ", "smoothed end mm", "± 1σ", "before stop mm", "± 1σ",
-        "mm/s", "largest innovation mm", *(["reference mm"] if has_reference else []),
-        *(f"{name} mm" for name in methods), "verdict",
+        "move", "verdict", "onset", "stop", "start mm", "end mm", "± 1σ", "smoothed end mm", "± 1σ", "before stop mm",
+        "± 1σ", "mm/s", "largest innovation mm", *(["reference mm"] if has_reference else []),
+        *(f"{name} mm" for name in methods),
     ]  # fmt: skip
     rows = [
         _move_row(number, finding, clock, begin_ns, has_reference, methods)
@@ -85,6 +85,12 @@ def _move_row(
     )
     return [
         _zoom_cell("th", f"{move.kind} {number}", move.onset_ns, move.stop_ns + STANDS_NS, begin_ns),
+        element(
+            "td",
+            element("span", _MARK[finding.is_good], aria_hidden="true"),
+            f" {finding.verdict}",
+            class_="good" if finding.is_good else "ill",
+        ),
         clock.time(move.onset_ns),
         clock.time(move.stop_ns),
         *(_number(value) for value in ends),
@@ -92,12 +98,6 @@ def _move_row(
         _number(finding.largest_innovation_mm, sign=True),
         *([_number(finding.reference_mm)] if has_reference else []),
         *(_number(finding.others_mm.get(name, nan)) for name in methods),
-        element(
-            "td",
-            element("span", _MARK[finding.is_good], aria_hidden="true"),
-            f" {finding.verdict}",
-            class_="good" if finding.is_good else "ill",
-        ),
     ]
 
 
@@ -142,7 +142,7 @@ def lines_list(collected: Collector, clock: Clock, begin_ns: int) -> Markup:
 def shares(reviewed: Review) -> Markup:
     """How the time was spent, in words: the plots' alternative."""
     said = []
-    for title, counts in (("time in segments", reviewed.segments), ("displacement sensor", reviewed.can_states)):
+    for title, counts in (("Time in segments", reviewed.segments), ("displacement sensor", reviewed.can_states)):
         total = sum(counts.values())
         if total:
             shares_ = ", ".join(f"{words(str(name))} {count / total:.1%}" for name, count in counts.items())
@@ -154,7 +154,7 @@ def shares(reviewed: Review) -> Markup:
             f"rms {settled.rms_mm:.2f} mm, worst {settled.worst_mm:+.2f} mm"
             + ("" if isnan(settled.inside_95) else f", {settled.inside_95:.1%} inside the stated 95 %")
         )
-    return element("p", "; ".join(said).capitalize() + "." if said else "There is nothing to plot.", class_="note")
+    return element("p", "; ".join(said) + "." if said else "There is nothing to plot.", class_="note")
 
 
 def _zoom_cell(name: str, text: str, from_ns: int, until_ns: int, begin_ns: int) -> Markup:

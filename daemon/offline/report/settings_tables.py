@@ -27,18 +27,18 @@ def flat(tree: Mapping[str, Any], path: str = "") -> Flat:
 def settings_section(settings: Settings, metadata: Mapping[str, str]) -> Markup:
     """What differs from the defaults first, the rest to unfold."""
     own, usual = flat(settings.model_dump(mode="json")), flat(Settings().model_dump(mode="json"))
-    changed = [(name, value, usual.get(name, "–")) for name, value in own.items() if usual.get(name) != value]
+    changed = [(name, value, usual.get(name, "–")) for name, value in own.items() if usual.get(name, "null") != value]
     versions = [(name, value) for name, value in metadata.items() if name != "settings"]
     return joined(
         [
-            table("Settings that differ from the defaults", ("setting", "value", "default"), changed)
+            table("Settings that differ from the defaults", ("setting", "value", "default"), changed, "settings")
             if changed
             else element("p", "All settings have their defaults."),
             element(
                 "details",
                 element("summary", f"All {len(own)} settings, and what the file says of itself"),
-                table("What the file says of itself", ("name", "value"), versions),
-                table("All settings", ("setting", "value"), list(own.items())),
+                table("What the file says of itself", ("name", "value"), versions, "settings"),
+                table("All settings", ("setting", "value"), list(own.items()), "settings"),
             ),
         ]
     )
@@ -51,4 +51,4 @@ def differences(named: Sequence[tuple[str, Settings]]) -> Markup:
     rows = [(name, *values) for name in names if len(set(values := [column.get(name, "–") for column in columns])) > 1]
     if not rows:
         return element("p", "All files were made with the same settings.", class_="note")
-    return table("Settings that differ between the files", ("setting", *(name for name, _ in named)), rows)
+    return table("Settings that differ between the files", ("setting", *(name for name, _ in named)), rows, "settings")

@@ -88,7 +88,8 @@ def _review_one(
         if places.pictures is not None:
             from daemon.offline.exports.pictures import draw_pictures
 
-            draw_pictures(places.pictures, path.stem, collector, found.replayed.moves)
+            stroke_mm = found.replayed.settings.support.stroke_mm
+            draw_pictures(places.pictures, path.stem, collector, found.replayed.moves, stroke_mm)
         return found, [chapter(path, found, collector)] if with_report else []
 
 

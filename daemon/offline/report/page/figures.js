@@ -2,7 +2,13 @@
 
 import { colours, faded } from "report/theme.js";
 
-export const MARGIN = { l: 58, r: 12, t: 6, b: 26 };
+export const MARGIN = { l: 58, r: 12, t: 6, b: 24 };
+// The date stands at the head of the page.
+const TICKS = [
+  { dtickrange: [null, 1000], value: "%H:%M:%S.%L" },
+  { dtickrange: [1000, 60000], value: "%H:%M:%S" },
+  { dtickrange: [60000, "M1"], value: "%H:%M" },
+];
 const MOST_SHAPES = 160;
 const LABEL_PX = 74;
 const CONFIG = { displayModeBar: false, responsive: false, doubleClick: false, scrollZoom: false };
@@ -23,10 +29,11 @@ function swatch(series) {
     line: `<line x1="0" x2="26" y1="7" y2="7" stroke-width="2.5" stroke-dasharray="${dashes[series.dash ?? "solid"]}"/>`,
     band: '<rect x="0" y="2" width="26" height="10" fill-opacity=".3" stroke="none"/>',
     circle: '<circle cx="13" cy="7" r="3"/>',
-    diamond: '<path d="M13 3l4 4-4 4-4-4z"/>',
     "x-thin": '<path d="M9 3l8 8m0-8l-8 8" stroke-width="2.5"/>',
   };
-  made.setAttribute("viewBox", "0 0 26 14");
+  const isDot = series.mark !== "line" && series.mark !== "band";
+  made.setAttribute("viewBox", isDot ? "8 0 10 14" : "0 0 26 14");
+  if (isDot) made.setAttribute("class", "dot");
   made.setAttribute("aria-hidden", "true");
   made.setAttribute("style", `color: var(--${series.colour})`);
   made.innerHTML = drawings[series.mark];
@@ -110,10 +117,11 @@ export class Figure {
       hoverlabel: { bgcolor: paint.paper, bordercolor: paint.soft, font: { color: paint.ink } },
       xaxis: {
         ...axis, range, fixedrange: isTouch, type: this.record.clock.wall ? "date" : "linear",
-        hoverformat: this.record.clock.wall ? "%H:%M:%S.%3f" : ".3f", ticksuffix: this.record.clock.wall ? "" : " s",
+        tickformatstops: TICKS,
+        hoverformat: this.record.clock.wall ? "%H:%M:%S.%L" : ".3f", ticksuffix: this.record.clock.wall ? "" : " s",
         nticks: Math.max(3, Math.floor(this.width / 110)), separatethousands: false,
       },
-      yaxis: { ...axis, fixedrange: true, automargin: false, nticks: Math.max(3, Math.floor(this.panel.height / 40)) },
+      yaxis: { ...axis, fixedrange: true, automargin: false, nticks: Math.max(3, Math.floor(this.panel.height / 40)), ...(this.panel.bounds ? { autorangeoptions: { clipmin: this.panel.bounds[0], clipmax: this.panel.bounds[1] } } : {}) },
       shapes: this.panel.marked ? [...this.shades(paint), ...this.lines(paint)] : [],
       annotations: this.panel.named ? this.labels(paint) : [],
     };
@@ -141,7 +149,7 @@ export class Figure {
     if (shown.length > MOST_SHAPES) return [];
     return shown.map(([begin, end, word]) => ({
       type: "rect", xref: "x", yref: "paper", x0: this.x(begin), x1: this.x(end), y0: 0, y1: 1, layer: "below",
-      line: { width: 0 }, fillcolor: faded(word === "VVS" ? paint.vvs : paint.cvs, word === "VVS" ? 0.32 : 0.13),
+      line: { width: 0 }, fillcolor: faded(word === "VVS" ? paint.vvs : paint.cvs, word === "VVS" ? 0.22 : 0.12),
     }));
   }
 

@@ -6,8 +6,8 @@ const ACTIONS = [
   { name: "Whole", label: "Show the whole recording", keys: ["0", "Home"], act: (t) => t.whole() },
   { name: "＋", label: "Zoom in", keys: ["+", "=", "ArrowUp"], act: (t) => t.zoom(0.5) },
   { name: "－", label: "Zoom out", keys: ["-", "ArrowDown"], act: (t) => t.zoom(2) },
-  { name: "◀", label: "Earlier", keys: ["ArrowLeft"], act: (t) => t.shift(-0.25) },
-  { name: "▶", label: "Later", keys: ["ArrowRight"], act: (t) => t.shift(0.25) },
+  { name: "◀", label: "Earlier", keys: ["ArrowLeft"], byFinger: true, act: (t) => t.shift(-0.25) },
+  { name: "▶", label: "Later", keys: ["ArrowRight"], byFinger: true, act: (t) => t.shift(0.25) },
   { name: "◀ move", label: "Previous move", keys: ["p"], needsMoves: true, act: (t) => t.step(-1) },
   { name: "move ▶", label: "Next move", keys: ["n"], needsMoves: true, act: (t) => t.step(1) },
 ];
@@ -19,6 +19,7 @@ export function toolbar(region, timeline, told) {
     if (action.needsMoves && timeline.marks.length === 0) continue;
     const button = element("button", { type: "button", "aria-label": action.label, title: `${action.label} (${action.keys[0]})` }, action.name);
     button.addEventListener("click", () => action.act(timeline));
+    if (action.byFinger) button.className = "by-finger";
     bar.append(button);
   }
   bar.append(shown);

@@ -4,9 +4,9 @@ import { element, MARGIN } from "report/figures.js";
 import { colours } from "report/theme.js";
 
 const SPACE = "http://www.w3.org/2000/svg";
-const ROW = 30;
-const GAP = 6;
-const NAMED = 17;
+const ROW = 24;
+const GAP = 5;
+const NAMED = 16;
 const LETTER_PX = 7.2;
 const SEGMENTS = { ZUPT: "rest (ZUPT)", VVS: "varying speed (VVS)", CVS: "constant speed (CVS)" };
 const LOOKS = { ok: "plain", "rest (ZUPT)": "plain", "constant speed (CVS)": "cvs", "varying speed (VVS)": "vvs", off: "plain", absent: "dots", waiting: "dots" };
@@ -126,7 +126,7 @@ export class Lanes {
     const label = word.length * LETTER_PX + 10 < wide ? word : "";
     if (!label) return [rect];
     const back = shape("rect", {
-      x: x0 + wide / 2 - (word.length * LETTER_PX) / 2 - 4, y: y + 6, width: word.length * LETTER_PX + 8, height: ROW - 12,
+      x: x0 + wide / 2 - (word.length * LETTER_PX) / 2 - 4, y: y + 4, width: word.length * LETTER_PX + 8, height: ROW - 8,
       rx: 3, fill: paint.paper, "pointer-events": "none",
     });
     return [rect, back, shape("text", { x: x0 + wide / 2, y: y + ROW / 2 + 4.5, fill: paint.ink, "text-anchor": "middle", "pointer-events": "none" }, label)];

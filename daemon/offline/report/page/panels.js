@@ -48,15 +48,30 @@ function limitSeries(key, name, colour, signal, unit, digits) {
   };
 }
 
-function pointSeries(key, name, colour, readings, { ill = false, on = true, symbol = "circle", size = 4 } = {}) {
+// Nonsense far outside the stroke is drawn at the edge; its label says what was read.
+function pointSeries(key, name, colour, readings, { ill = false, on = true, symbol = "circle", size = 4, bounds = [-Infinity, Infinity] } = {}) {
   return {
     key, name, colour, on, mark: symbol,
     traces(record, from, until, paint) {
       const made = points(record, readings, from, until, ill);
       return [{
-        x: made.x, y: made.y, customdata: made.words, name, mode: "markers",
+        x: made.x, y: made.y.map((y) => Math.min(Math.max(y, bounds[0]), bounds[1])), name, mode: "markers",
+        customdata: ill ? made.y.map((y, i) => `${y.toFixed(1)} mm, ${made.words[i]}`) : null,
         marker: { color: paint[colour], size, symbol, line: { width: symbol === "x-thin" ? 1.6 : 0, color: paint[colour] } },
-        hovertemplate: ill ? "%{y:.1f} mm, %{customdata}" : number(1, "mm"),
+        hovertemplate: ill ? "%{customdata}" : number(1, "mm"),
+      }];
+    },
+  };
+}
+
+function referenceSeries(readings) {
+  return {
+    key: "reference", name: "reference sensor", colour: "reference", dash: "dot", on: true, mark: "line",
+    traces(record, from, until, paint) {
+      const made = points(record, readings, from, until, false);
+      return [{
+        x: made.x, y: made.y, name: "reference sensor", mode: "lines",
+        line: { color: paint.reference, width: 1.5, dash: "dot" }, hovertemplate: number(2, "mm"),
       }];
     },
   };
@@ -83,17 +98,18 @@ function sum(values) {
 
 function strokePanel(record) {
   const { signals, readings, others } = record;
+  const bounds = [-0.2 * record.stroke_mm, 1.2 * record.stroke_mm];
   const series = [
     bandSeries("band", "stated 95 %", "estimate", signals.stroke_band, signals.stroke),
   ];
   if (readings.observed !== null) {
-    series.push(pointSeries("observed", "displacement sensor", "observed", readings.observed));
+    series.push(pointSeries("observed", "displacement sensor", "observed", readings.observed, { bounds }));
     if (readings.observed.illCount > 0) {
-      series.push(pointSeries("ill", "its ill readings", "ill", readings.observed, { ill: true, symbol: "x-thin", size: 7 }));
+      series.push(pointSeries("ill", "its ill readings", "ill", readings.observed, { ill: true, symbol: "x-thin", size: 7, bounds }));
     }
   }
   if (readings.reference !== null) {
-    series.push(pointSeries("reference", "reference sensor", "reference", readings.reference, { symbol: "diamond", size: 3 }));
+    series.push(referenceSeries(readings.reference));
   }
   series.push(lineSeries("smoothed", "smoothed", "smoothed", signals.smoothed, { dash: "dash", on: false }));
   series.push(lineSeries("stroke", "estimate (settled)", "estimate", signals.stroke, { half: signals.stroke_band }));
@@ -109,6 +125,7 @@ export function panelsOf(record) {
   if (readings.observed !== null) {
     panels.push({
       key: "innovation", title: "Reading minus prediction, and its gate", unit: "mm", height: 180, marked: true,
+      bounds: [-1.2 * record.stroke_mm, 1.2 * record.stroke_mm],
       series: [
         limitSeries("gate", "gate", "limit", signals.gate, "mm", 1),
         lineSeries("innovation", "reading minus prediction", "observed", signals.innovation, { width: 1.2 }),
