@@ -15,7 +15,7 @@ from daemon.offline.whole_file import whole_file
 FORMATS: dict[Kind, Callable[[Any], str]] = {
     "time": lambda t_ns: f"{t_ns // 1_000_000_000}.{t_ns % 1_000_000_000:09d}",
     "thousandth": lambda metres: f"{metres * 1e3:.6f}",
-    "real": lambda value: "" if isnan(value) else repr(float(value)),
+    "real": lambda value: repr(float(value)),
     "whole": str,
     "text": str,
 }
@@ -28,11 +28,14 @@ class CsvWriter:
         self._rows = rows
 
     def add(self, table: Table, *row: Cell) -> None:
-        """Append a row; None is an empty cell."""
-        formats = table.columns.values()
-        self._rows[table.name].writerow(
-            ["" if cell is None else FORMATS[kind](cell) for kind, cell in zip(formats, row, strict=True)]
-        )
+        """Append a row; None and NaN are empty cells."""
+        cells = zip(table.columns.values(), row, strict=True)
+        self._rows[table.name].writerow([_text(kind, cell) for kind, cell in cells])
+
+
+def _text(kind: Kind, cell: Cell) -> str:
+    is_missing = cell is None or (isinstance(cell, float) and isnan(cell))
+    return "" if is_missing else FORMATS[kind](cell)
 
 
 @contextmanager

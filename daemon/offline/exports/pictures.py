@@ -132,7 +132,7 @@ def _fill(figure: Figure, axes: Sequence[Axes], shown: _Shown) -> None:
     ):
         t_s, values = shown.points(readings)
         if len(values):
-            stroke.plot(t_s, values, symbol, color=colour, markersize=2, label=label, rasterized=len(values) > 1000)
+            stroke.plot(t_s, values, symbol, color=colour, markersize=2, label=label)
     t_s, values = shown.points(shown.observed, good=False)
     if len(values):
         stroke.plot(t_s, values, "x", color=VERMILION, markersize=3, label="its ill readings")

@@ -38,20 +38,14 @@ def pack(collected: Collector, moves: list[Move], clock: Clock, stroke_mm: float
     stroke, sigma, velocity, acceleration = (
         _values(column) for column in (steps.stroke, steps.sigma, steps.velocity, steps.acceleration)
     )
-    half = np.float32(SIGMAS_95) * sigma
-    velocity_half = np.float32(SIGMAS_95) * _values(steps.velocity_sigma)
-    gate = _values(steps.gate)
     signals = {
-        "stroke": packer.signal(stroke, fine=True),
-        "stroke_band": packer.signal(stroke - half, stroke + half) | {"half": packer.fine(half)},
-        "smoothed": packer.signal(_values(steps.smoothed), fine=True),
-        "velocity": packer.signal(velocity, fine=True),
-        "velocity_band": packer.signal(velocity - velocity_half, velocity + velocity_half)
-        | {"half": packer.fine(velocity_half)},
+        "stroke": packer.signal(stroke, fine=True) | packer.around(sigma),
+        "smoothed": packer.signal(_values(steps.smoothed)),
+        "velocity": packer.signal(velocity, fine=True) | packer.around(_values(steps.velocity_sigma)),
         "acceleration": packer.signal(acceleration, fine=True),
         "chart": packer.signal(_values(steps.chart_lower), _values(steps.chart_upper)),
         "innovation": packer.signal(_values(steps.innovation)),
-        "gate": packer.signal(-gate, gate),
+        "gate": packer.largest(_values(steps.gate)),
     }
     return {
         "zero_ns": begin_ns,
@@ -99,7 +93,7 @@ class _Packer:
     def __init__(self, begin_ns: int, end_ns: int, marks_ns: list[int], t_ns: Times) -> None:
         self.begin_ns, self.end_ns = begin_ns, end_ns
         self.grid = Grid.over(begin_ns, end_ns)
-        self.kept = windows(marks_ns, t_ns)
+        self.kept = windows(marks_ns, begin_ns, end_ns, len(t_ns))
         self.tick_ns = max(1000, -(-(end_ns - begin_ns) // _TICKS))
         self._t_ns = t_ns
         self._fine = within(self.kept, t_ns)
@@ -117,6 +111,15 @@ class _Packer:
     def signal_at(self, t_ns: Times, low: Floats, high: Floats | None = None) -> Packed:
         lows, highs = self.grid.envelope(t_ns, low, high)
         return {"low": _base64(lows), "high": _base64(highs)}
+
+    def around(self, sigma: Floats) -> Packed:
+        """What the 95 % band reaches to either side: the largest in each cell, and all where all is kept."""
+        half = np.float32(SIGMAS_95) * sigma
+        return {"half": self.largest(half)["high"], "half_fine": self.fine(half)}
+
+    def largest(self, values: Floats) -> Packed:
+        """The largest in each cell."""
+        return {"high": _base64(self.grid.envelope(self._t_ns, values)[1])}
 
     def fine(self, values: Floats) -> str:
         return _base64(values[self._fine])

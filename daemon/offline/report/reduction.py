@@ -50,19 +50,17 @@ def _reduced(cells: int, places: NDArray[np.int64], values: Floats, choose: np.u
     return reduced
 
 
-def windows(marks_ns: Iterable[int], t_ns: Times) -> list[tuple[int, int]]:
-    """Stretches of time to keep whole: around the marks, joined where they meet; all of a short record."""
-    if len(t_ns) == 0:
-        return []
-    if len(t_ns) <= ALL_SAMPLES:
-        return [(int(t_ns[0]), int(t_ns[-1]))]
+def windows(marks_ns: Iterable[int], begin_ns: int, end_ns: int, samples: int) -> list[tuple[int, int]]:
+    """Stretches of time to keep whole: around the marks, joined where they meet; all of a record of few samples."""
+    if samples <= ALL_SAMPLES:
+        return [(begin_ns, end_ns)]
     found: list[tuple[int, int]] = []
     for mark_ns in sorted(marks_ns):
-        begin_ns, end_ns = mark_ns - AROUND_NS, mark_ns + AROUND_NS
-        if found and begin_ns <= found[-1][1]:
-            found[-1] = (found[-1][0], end_ns)
+        first_ns, last_ns = mark_ns - AROUND_NS, mark_ns + AROUND_NS
+        if found and first_ns <= found[-1][1]:
+            found[-1] = (found[-1][0], last_ns)
         else:
-            found.append((begin_ns, end_ns))
+            found.append((first_ns, last_ns))
     return found
 
 

@@ -31,6 +31,9 @@ function seconds(text, tick) {
 function signal(packed) {
   const made = {};
   for (const name of Object.keys(packed)) onUse(made, name, () => floats(packed[name]));
+  // The band around it.
+  onUse(made, "bandLow", () => made.low.map((low, i) => low - made.half[i]));
+  onUse(made, "bandHigh", () => made.high.map((high, i) => high + made.half[i]));
   return made;
 }
 
@@ -60,6 +63,8 @@ export function decoded(element) {
   const record = { ...packed, signals: {}, others: {} };
   for (const [name, one] of Object.entries(packed.signals)) record.signals[name] = signal(one);
   for (const [name, one] of Object.entries(packed.others)) record.others[name] = signal(one);
+  const { gate } = record.signals;
+  onUse(gate, "low", () => gate.high.map((high) => -high));
   record.readings = {};
   for (const [name, one] of Object.entries(packed.readings)) record.readings[name] = readings(one, packed.tick);
   onUse(record, "fine", () => seconds(packed.fine, packed.tick));

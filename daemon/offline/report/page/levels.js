@@ -45,24 +45,24 @@ export function plan(record, times, from, until, most = MOST_POINTS) {
   return points <= most ? pieces : [grouped(grid, from, until, most)];
 }
 
-// Calls `take(time, low, high)` for each group of a run of cells; NaN where there are no samples.
-function eachGroup(grid, piece, signal, take) {
+// Calls `take(time, width, low, high)` for each group of a run of cells; NaN where there are no samples.
+function eachGroup(grid, piece, lows, highs, take) {
   for (let i = piece.first; i < piece.last; i += piece.group) {
     let low = NaN;
     let high = NaN;
     const end = Math.min(i + piece.group, piece.last);
     for (let j = i; j < end; j++) {
-      if (!(signal.low[j] >= low)) low = Number.isNaN(signal.low[j]) ? low : signal.low[j];
-      if (!(signal.high[j] <= high)) high = Number.isNaN(signal.high[j]) ? high : signal.high[j];
+      if (!(lows[j] >= low) && !Number.isNaN(lows[j])) low = lows[j];
+      if (!(highs[j] <= high) && !Number.isNaN(highs[j])) high = highs[j];
     }
-    take(grid.begin + i * grid.cell, (end - i) * grid.cell, low, high);
+    take(grid.begin + i * grid.cell, (end - i) * grid.cell, low, high, i);
   }
 }
 
 // A line through lows and highs, in the order in which the signal runs; every sample where they are kept.
-// `half`: a signal around it; its half width comes along, for the label.
-export function line(record, signal, from, until, half = null) {
-  const made = { x: [], y: [], half: half === null ? null : [], fine: false };
+// The half width of its band, if it has one, comes along for the label.
+export function line(record, signal, from, until) {
+  const made = { x: [], y: [], half: signal.half ? [] : null, fine: false };
   let before = NaN;
   for (const piece of plan(record, signal.fine ? record.fine : null, from, until)) {
     if (piece.fine) {
@@ -70,29 +70,23 @@ export function line(record, signal, from, until, half = null) {
       for (let i = piece.first; i < piece.last; i++) {
         made.x.push(record.fine[i]);
         made.y.push(signal.fine[i]);
-        if (half !== null) made.half.push(half.half[i]);
+        made.half?.push(signal.half_fine[i]);
       }
       continue;
     }
-    const widths = [];
-    if (half !== null) eachGroup(record.grid, piece, half, (_, __, low, high) => widths.push(high - low));
-    let group = 0;
-    eachGroup(record.grid, piece, signal, (t, width, low, high) => {
+    eachGroup(record.grid, piece, signal.low, signal.high, (t, width, low, high, cell) => {
       const falling = (low + high) / 2 < before;
       before = (low + high) / 2;
       made.x.push(t + 0.02 * width, t + 0.98 * width);
       made.y.push(falling ? high : low, falling ? low : high);
-      if (half !== null) {
-        const about = (widths[group++] - (high - low)) / 2;
-        made.half.push(about, about);
-      }
+      made.half?.push(signal.half[cell], signal.half[cell]);
     });
   }
   return made;
 }
 
-// The outline of a band: there above, back below, anew behind each hole.
-export function band(record, signal, from, until, centre = null) {
+// The outline of a signal's band: there above, back below, anew behind each hole.
+export function band(record, signal, from, until) {
   const made = { x: [], y: [] };
   let run = [];
   const close = () => {
@@ -105,13 +99,13 @@ export function band(record, signal, from, until, centre = null) {
     run = [];
   };
   const take = (t, low, high) => (Number.isNaN(low + high) ? close() : run.push([t, low, high]));
-  for (const piece of plan(record, centre === null ? null : record.fine, from, until)) {
+  for (const piece of plan(record, record.fine, from, until)) {
     if (piece.fine) {
       for (let i = piece.first; i < piece.last; i++) {
-        take(record.fine[i], centre.fine[i] - signal.half[i], centre.fine[i] + signal.half[i]);
+        take(record.fine[i], signal.fine[i] - signal.half_fine[i], signal.fine[i] + signal.half_fine[i]);
       }
     } else {
-      eachGroup(record.grid, piece, signal, (t, width, low, high) => take(t + width / 2, low, high));
+      eachGroup(record.grid, piece, signal.bandLow, signal.bandHigh, (t, width, low, high) => take(t + width / 2, low, high));
     }
   }
   close();
@@ -122,7 +116,7 @@ export function band(record, signal, from, until, centre = null) {
 export function limits(record, signal, from, until) {
   const made = { x: [], low: [], high: [] };
   for (const piece of plan(record, null, from, until)) {
-    eachGroup(record.grid, piece, signal, (t, width, low, high) => {
+    eachGroup(record.grid, piece, signal.low, signal.high, (t, width, low, high) => {
       made.x.push(t + width / 2);
       made.low.push(low);
       made.high.push(high);
@@ -144,10 +138,9 @@ export function points(record, readings, from, until, ill) {
       }
       continue;
     }
-    let at = piece.first;
-    eachGroup(record.grid, piece, ill ? readings.ill : readings.good, (t, width, low, high) => {
-      const word = ill ? Math.max(...readings.illWords.subarray(at, at + piece.group)) : 0;
-      at += piece.group;
+    const { low: lows, high: highs } = ill ? readings.ill : readings.good;
+    eachGroup(record.grid, piece, lows, highs, (t, width, low, high, cell) => {
+      const word = ill ? Math.max(...readings.illWords.subarray(cell, cell + piece.group)) : 0;
       if (Number.isNaN(low)) return;
       for (const value of low === high ? [low] : [low, high]) {
         made.x.push(t + width / 2);

@@ -7,25 +7,25 @@ const DASHES = ["dash", "dot", "dashdot", "longdash"];
 
 const number = (digits, unit) => `%{y:.${digits}f} ${unit}`;
 
-function lineSeries(key, name, colour, signal, { digits = 2, unit = "mm", half = null, on = true, dash = "solid", width = 1.8 } = {}) {
+function lineSeries(key, name, colour, signal, { digits = 2, unit = "mm", on = true, dash = "solid", width = 1.8 } = {}) {
   return {
     key, name, colour, dash, on, mark: "line",
     traces(record, from, until, paint) {
-      const made = line(record, signal, from, until, half);
+      const made = line(record, signal, from, until);
       return [{
         x: made.x, y: made.y, customdata: made.half, name, mode: "lines",
         line: { color: paint[colour], width, dash },
-        hovertemplate: half === null ? number(digits, unit) : `%{y:.${digits}f} ± %{customdata:.${digits}f} ${unit} (95 %)`,
+        hovertemplate: made.half === null ? number(digits, unit) : `%{y:.${digits}f} ± %{customdata:.${digits}f} ${unit} (95 %)`,
       }];
     },
   };
 }
 
-function bandSeries(key, name, colour, signal, centre) {
+function bandSeries(key, name, colour, signal) {
   return {
     key, name, colour, on: true, mark: "band",
     traces(record, from, until, paint) {
-      const made = band(record, signal, from, until, centre);
+      const made = band(record, signal, from, until);
       return [{
         x: made.x, y: made.y, name, mode: "lines", fill: "toself", fillcolor: faded(paint[colour], 0.22),
         line: { width: 0 }, hoverinfo: "skip",
@@ -100,7 +100,7 @@ function strokePanel(record) {
   const { signals, readings, others } = record;
   const bounds = [-0.2 * record.stroke_mm, 1.2 * record.stroke_mm];
   const series = [
-    bandSeries("band", "stated 95 %", "estimate", signals.stroke_band, signals.stroke),
+    bandSeries("band", "stated 95 %", "estimate", signals.stroke),
   ];
   if (readings.observed !== null) {
     series.push(pointSeries("observed", "displacement sensor", "observed", readings.observed, { bounds }));
@@ -112,7 +112,7 @@ function strokePanel(record) {
     series.push(referenceSeries(readings.reference));
   }
   series.push(lineSeries("smoothed", "smoothed", "smoothed", signals.smoothed, { dash: "dash", on: false }));
-  series.push(lineSeries("stroke", "estimate (settled)", "estimate", signals.stroke, { half: signals.stroke_band }));
+  series.push(lineSeries("stroke", "estimate (settled)", "estimate", signals.stroke));
   Object.entries(others).forEach(([name, signal], i) => {
     series.push(lineSeries(`other-${name}`, name, `other-${1 + (i % 4)}`, signal, { on: false, dash: DASHES[i % 4] }));
   });
@@ -135,8 +135,8 @@ export function panelsOf(record) {
   panels.push({
     key: "velocity", title: "Speed", unit: "mm/s", height: 210, marked: true,
     series: [
-      bandSeries("band", "stated 95 %", "estimate", signals.velocity_band, signals.velocity),
-      lineSeries("velocity", "speed (settled)", "estimate", signals.velocity, { unit: "mm/s", half: signals.velocity_band }),
+      bandSeries("band", "stated 95 %", "estimate", signals.velocity),
+      lineSeries("velocity", "speed (settled)", "estimate", signals.velocity, { unit: "mm/s" }),
     ],
   });
   panels.push({
