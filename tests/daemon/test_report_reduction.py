@@ -63,6 +63,22 @@ def test_around_marks_all_is_kept_and_stretches_do_not_meet(marks: list[int]) ->
     assert np.array_equal(within(kept, t_ns), expected)
 
 
+@given(st.lists(st.integers(-(10**10), 10**12 + 10**10), max_size=30))
+def test_stretches_grow_to_whole_cells_and_no_further(marks: list[int]) -> None:
+    grid = Grid.over(5, 10**12)
+    kept = windows(marks, 5, 10**12, ALL_SAMPLES + 1)
+    aligned = grid.aligned(kept)
+    assert all(before[1] + 1 < after[0] for before, after in pairwise(aligned))
+    cells = {
+        cell
+        for begin, end in kept
+        for cell in range(max(0, (begin - 5) // CELL_NS), min(grid.cells, (end - 5) // CELL_NS + 1))
+    }
+    told = [range((begin - 5) // CELL_NS, (end + 1 - 5) // CELL_NS) for begin, end in aligned]
+    assert all((begin - 5) % CELL_NS == 0 == (end + 1 - 5) % CELL_NS for begin, end in aligned)
+    assert {cell for some in told for cell in some} == cells
+
+
 def test_a_short_record_is_kept_whole() -> None:
     t_ns = np.arange(ALL_SAMPLES) * 1000
     assert within(windows([], 0, int(t_ns[-1]), len(t_ns)), t_ns).all()

@@ -93,7 +93,7 @@ class _Packer:
     def __init__(self, begin_ns: int, end_ns: int, marks_ns: list[int], t_ns: Times) -> None:
         self.begin_ns, self.end_ns = begin_ns, end_ns
         self.grid = Grid.over(begin_ns, end_ns)
-        self.kept = windows(marks_ns, begin_ns, end_ns, len(t_ns))
+        self.kept = self.grid.aligned(windows(marks_ns, begin_ns, end_ns, len(t_ns)))
         self.tick_ns = max(1000, -(-(end_ns - begin_ns) // _TICKS))
         self._t_ns = t_ns
         self._fine = within(self.kept, t_ns)

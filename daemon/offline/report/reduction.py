@@ -36,6 +36,19 @@ class Grid:
         """The cell of each time; of one outside, the nearest."""
         return np.clip((t_ns - self.begin_ns) // self.cell_ns, 0, self.cells - 1)
 
+    def aligned(self, stretches: Iterable[tuple[int, int]]) -> list[tuple[int, int]]:
+        """The stretches made longer to whole cells, so that none is half inside; joined where they meet."""
+        found: list[tuple[int, int]] = []
+        for begin_ns, end_ns in stretches:
+            first = max(0, (begin_ns - self.begin_ns) // self.cell_ns)
+            last = min(self.cells, (end_ns - self.begin_ns) // self.cell_ns + 1)
+            aligned = self.begin_ns + first * self.cell_ns, self.begin_ns + last * self.cell_ns - 1
+            if found and aligned[0] <= found[-1][1] + 1:
+                found[-1] = (found[-1][0], aligned[1])
+            elif last > first:
+                found.append(aligned)
+        return found
+
     def envelope(self, t_ns: Times, low: Floats, high: Floats | None = None) -> tuple[Floats, Floats]:
         """Least of `low` and largest of `high` (default: the same values) in each cell, NaN where there are none."""
         places = self.places(t_ns)

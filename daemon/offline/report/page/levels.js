@@ -15,8 +15,9 @@ export function placeOf(times, t) {
 }
 
 function cellsOf(grid, from, until) {
-  const first = Math.max(0, Math.floor((from - grid.begin) / grid.cell));
-  const last = Math.min(grid.cells, Math.ceil((until - grid.begin) / grid.cell));
+  // Windows end where cells do, apart from rounding.
+  const first = Math.max(0, Math.floor((from - grid.begin) / grid.cell + 1e-4));
+  const last = Math.min(grid.cells, Math.ceil((until - grid.begin) / grid.cell - 1e-4));
   return [Math.min(first, grid.cells), Math.max(first, last)];
 }
 
