@@ -19,6 +19,7 @@ from estimation.records import CanState, Move, MoveKind, Tier
 
 STANDS_NS = 1_500_000_000  # after the start of deceleration
 _UNCERTAIN_MM = 30.0  # 95 %
+_WORTH_A_WORD_NS = 1_000_000_000  # of an ill sensor
 
 
 @dataclass(slots=True, frozen=True)
@@ -144,7 +145,7 @@ def _sensor_in_words(collected: Collector, clock: Clock) -> list[tuple[bool, str
             ill[state] += end - begin
     if last is not CanState.OK and last is not CanState.ABSENT:
         return [(False, f"displacement sensor {words(last)} since {clock.minute(begin_ns)}")]
-    if ill:
+    if sum(ill.values()) >= _WORTH_A_WORD_NS:
         told = ", ".join(f"{words(state)} for {ns * 1e-9:.1f} s" for state, ns in ill.most_common())
         return [(False, f"displacement sensor was {told}")]
     return [(True, "displacement sensor good")]
