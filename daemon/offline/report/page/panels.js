@@ -116,7 +116,9 @@ function strokePanel(record) {
   Object.entries(others).forEach(([name, signal], i) => {
     series.push(lineSeries(`other-${name}`, name, `other-${1 + (i % 4)}`, signal, { on: false, dash: DASHES[i % 4] }));
   });
-  return { key: "stroke", title: "Stroke", unit: "mm", height: 320, marked: true, named: true, series };
+  // A wide band, or a method that runs away, must not flatten the rest.
+  const edges = [-0.5 * record.stroke_mm, 1.5 * record.stroke_mm];
+  return { key: "stroke", title: "Stroke", unit: "mm", height: 320, marked: true, named: true, bounds: edges, series };
 }
 
 export function panelsOf(record) {
