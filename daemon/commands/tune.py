@@ -107,7 +107,7 @@ def _two_state(arguments: argparse.Namespace, settings: Settings | None) -> int:
 
     budget = arguments.budget or BUDGET
     motions = []
-    with terminal.progress("messages") as progress:
+    with terminal.progress("reading", 1.0) as progress:
         for path in arguments.files:
             motions += motions_of(path, arguments.form, settings, progress)
     observed = [motion.observed for motion in motions]

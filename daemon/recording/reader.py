@@ -32,6 +32,7 @@ class Recording:
     counts: messages per topic that `messages` has given so far.
     lost: messages known to be missing, by sequence numbers and by the index behind a damaged chunk; grows
         while messages are read.
+    share: of the file that has been read, 0 to 1; grows while messages are read.
     Raises `RecordingError` when the file cannot be read or is no recording of this program.
     """
 
@@ -39,6 +40,7 @@ class Recording:
         self.path = path
         self.counts: Counter[str] = Counter()
         self.lost = 0
+        self.share = 0.0
         self._damage = DamageLog()
         self._contents = Contents()
         with self._open() as (stream, size):
@@ -136,6 +138,7 @@ class Recording:
         with self._open() as (stream, size):
             try:
                 for record in scan.walk(stream, size, damage):
+                    self.share = record.offset / size
                     if record.opcode == scan.CHUNK:
                         try:
                             data = scan.open_chunk(record.body)

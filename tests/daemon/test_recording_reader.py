@@ -474,9 +474,10 @@ def test_recover_tells_its_progress(tmp_path: Path) -> None:
     with RecordingWriter(path, METADATA) as writer:
         for number in range(20_001):
             writer.write(topics.TICK, Tick(number))
-    told: list[int] = []
+    told: list[float] = []
     assert recover(path, tmp_path / "out.mcap", told.append).messages == 20_001
-    assert told == [10_000, 20_000]
+    assert len(told) == 2
+    assert told == pytest.approx([0.5, 1.0], abs=0.05)
 
 
 def interrupted(path: Path, error: BaseException) -> None:

@@ -107,7 +107,7 @@ def _worst_instability(axes: tuple[Axis, ...]) -> float:
     return max(axis.noise.instability.value for axis in axes if axis.noise.instability is not None and not axis.hidden)
 
 
-def allan(path: Path, progress: Callable[[int], None] | None = None, least_s: float = LEAST_S) -> Allan:
+def allan(path: Path, progress: Callable[[float], None] | None = None, least_s: float = LEAST_S) -> Allan:
     """Noise of the sensor in the longest rest of a recording.
 
     A rest is what lies between moves, handling, gaps and changes of the sensor. One that shakes is a rest too: its
@@ -115,7 +115,7 @@ def allan(path: Path, progress: Callable[[int], None] | None = None, least_s: fl
 
     Args:
         path: the recording, of any kind.
-        progress: called now and then with the number of messages read.
+        progress: called now and then with the share of the file that has been read.
         least_s: shorter rests are refused.
 
     Raises:

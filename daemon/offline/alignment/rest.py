@@ -59,7 +59,7 @@ class Rest:
 
 
 def rests_at_beginning(
-    path: Path, duration_s: float = inf, progress: Callable[[int], None] | None = None
+    path: Path, duration_s: float = inf, progress: Callable[[float], None] | None = None
 ) -> dict[Role, Rest]:
     """The rest at the beginning of a recording, up to its first move, of the sensor and of one beside it.
 

@@ -32,7 +32,7 @@ def replay_to(
     state: Path | None = None,
     end_state: Path | None = None,
     method: str = OURS,
-    progress: Callable[[int], None] | None = None,
+    progress: Callable[[float], None] | None = None,
 ) -> ReplayResult:
     """Replay `source` and write what was asked for, each file whole or not at all.
 

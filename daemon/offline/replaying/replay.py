@@ -90,7 +90,7 @@ def replay(
     path: Path,
     settings: Settings | None = None,
     sink: Sink | None = None,
-    progress: Callable[[int], None] | None = None,
+    progress: Callable[[float], None] | None = None,
     smoothed: Callable[[SmoothedStep], None] | None = None,
     state: Path | None = None,
     tap: Callable[[Record], object] | None = None,
@@ -101,7 +101,7 @@ def replay(
         path: the recording.
         settings: instead of the file's own; then nothing else that the file says of its start is used either.
         sink: gets every input and output.
-        progress: called now and then with the number of messages read.
+        progress: called now and then with the share of the file that has been read.
         smoothed: gets every settled step with what all that follows says of it, minutes behind `sink`.
         state: start from this state file, as the daemon would; then the recorded estimates are not compared.
         tap: gets every record that the estimator gets.
@@ -144,7 +144,7 @@ def replay(
         last_ns = TOPICS[topic].time_ns(record)
         first_ns = last_ns if first_ns is None else first_ns
         if progress is not None and count % 5000 == 0:
-            progress(count)
+            progress(recording.share)
     if stream.foreign_samples and not stream.samples + stream.bad_bursts:
         wanted = "a JY901" if stream.settings.jy901.use == "instead" else "an ADIS16448"
         raise RecordingError(

@@ -57,7 +57,7 @@ class References:
 
 
 def motions_of(
-    path: Path, form: Form, settings: Settings | None = None, progress: Callable[[int], None] | None = None
+    path: Path, form: Form, settings: Settings | None = None, progress: Callable[[float], None] | None = None
 ) -> list[Motion]:
     """Every move of a recording that has enough readings. Raises RecordingError where there is none."""
     in_use = settings or settings_of(Recording(path))
