@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import stat
 from pathlib import Path
@@ -19,7 +20,7 @@ def listed(directory: Path, current: str) -> list[dict[str, Any]]:
     except OSError:
         return []
     for path in entries:
-        if (found := _looked_at(path)) is not None:
+        if (found := _looked_at(directory, path.name)) is not None:
             rows.append({"name": path.name, "bytes": found.st_size, "changed_s": found.st_mtime})
     rows.sort(key=lambda row: row["changed_s"], reverse=True)
     for row in rows:
@@ -29,16 +30,15 @@ def listed(directory: Path, current: str) -> list[dict[str, Any]]:
 
 def named(directory: Path, name: str) -> Path | None:
     """The recording of that name, if it would be listed."""
-    path = directory / name
-    return path if _looked_at(path) is not None else None
+    return directory / name if _looked_at(directory, name) is not None else None
 
 
-def _looked_at(path: Path) -> Any:
-    """Its figures if it is a recording: a plain file of the folder; links may lead anywhere."""
-    if not _NAME.fullmatch(path.name):
+def _looked_at(directory: Path, name: str) -> os.stat_result | None:
+    """Its figures if it is a recording: a plain file of the folder, for links may lead anywhere."""
+    if not _NAME.fullmatch(name):  # nor may a name: it comes from outside, slashes and all
         return None
     try:
-        found = path.lstat()
+        found = (directory / name).lstat()
     except OSError:
         return None
     return found if stat.S_ISREG(found.st_mode) else None

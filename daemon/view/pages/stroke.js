@@ -6,7 +6,7 @@ import { text } from "./words.js";
 
 const STILL_MM_S = 1;
 const BAND = 1.96;
-const COARSE_MM = 5; // beyond, tenths of a millimetre say nothing
+const COARSE_MM = 20; // beyond, tenths of a millimetre say nothing
 
 export function showStroke(model) {
   const estimate = model.estimate;

@@ -40,7 +40,7 @@ export const TEXTS = {
     accelerationPlotAbout: "Plot of the acceleration over the last minute, with the limits of the change detector",
     readStroke: "{time}: {stroke} ± {sigma} mm, {velocity} mm/s",
 
-    moves: "Moves", moveAt: "start", moveKind: "move", moveFromTo: "from → to, mm", moveSigma: "± 1σ, mm",
+    moves: "Moves", moveAt: "start", moveKind: "move", moveFromTo: "from → to mm", moveSigma: "± 1σ mm",
     moveSpeed: "mm/s", moveDuration: "s", push: "push", retract: "retract", noMoves: "No move yet.",
     moveDone: "{kind} finished at {end} mm",
     events: "Events", noEvents: "Nothing has happened yet.",
@@ -109,7 +109,7 @@ export const TEXTS = {
     accelerationPlotAbout: "最近一分钟的加速度曲线，含变化检测的控制限",
     readStroke: "{time}：{stroke} ± {sigma} mm，{velocity} mm/s",
 
-    moves: "推移动作", moveAt: "开始时间", moveKind: "动作", moveFromTo: "起点 → 终点，mm", moveSigma: "± 1σ，mm",
+    moves: "推移动作", moveAt: "开始时间", moveKind: "动作", moveFromTo: "起点 → 终点 mm", moveSigma: "± 1σ mm",
     moveSpeed: "mm/s", moveDuration: "s", push: "推溜", retract: "拉架", noMoves: "尚无动作。",
     moveDone: "{kind}结束，行程 {end} mm",
     events: "事件", noEvents: "尚无事件。",
