@@ -14,6 +14,7 @@ EXAMPLE = (
     "  ramstroke view --listen 0.0.0.0   # for other computers, with a token"
 )
 PORT = 8448
+POLITENESS = 10  # the daemon and its sensors come first
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -29,6 +30,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Serve until stopped."""
     import asyncio
+    import os
     import sys
     import tempfile
 
@@ -74,6 +76,7 @@ def run(arguments: argparse.Namespace) -> int:
                 file=sys.stderr,
             )
 
+    os.nice(POLITENESS)
     asyncio.run(main())
     return 0
 

@@ -83,7 +83,7 @@ class Browsers:
         from aiohttp import web
 
         channel = web.WebSocketResponse(
-            max_msg_size=LARGEST_INCOMING, heartbeat=HEARTBEAT_S, compress=False, writer_limit=BUFFER_BYTES
+            max_msg_size=LARGEST_INCOMING + 1, heartbeat=HEARTBEAT_S, compress=False, writer_limit=BUFFER_BYTES
         )
         await channel.prepare(request)
         if self.count >= BROWSERS:
