@@ -22,6 +22,7 @@ STATE = Path("var/lib/ramstroke")
 FILES = {
     "ramstroke.service": UNITS / "ramstroke.service",
     "ramstroke-sim.service": UNITS / "ramstroke-sim.service",
+    "ramstroke-view.service": UNITS / "ramstroke-view.service",
     "60-ramstroke.rules": Path("etc/udev/rules.d/60-ramstroke.rules"),
     "ramstroke.sysusers.conf": Path("etc/sysusers.d/ramstroke.conf"),
     "ramstroke.tmpfiles.conf": Path("etc/tmpfiles.d/ramstroke.conf"),
@@ -106,7 +107,8 @@ def install(host: Host, *, realtime: bool) -> None:
 def remove(host: Host, *, purge: bool) -> None:
     """Stop and take away the service; with `purge` configuration, recordings and learned state too."""
     if (host.root / FILES["ramstroke.service"]).exists():
-        host.run("systemctl", "disable", "--now", "ramstroke.service", "ramstroke-sim.service")
+        units = [name for name, path in FILES.items() if path.parent == UNITS and (host.root / path).exists()]
+        host.run("systemctl", "disable", "--now", *units)
     for path in (*FILES.values(), REALTIME.parent, COMMAND):
         host.delete(path)
     host.run("systemctl", "daemon-reload")

@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 BROWSERS = 16
 MESSAGES_PER_BROWSER = 100
 LARGEST_INCOMING = 1024  # a browser has nothing to say
-BUFFER_BYTES = 64 * 1024  # in our process and in the kernel, each
+BUFFER_BYTES = 64 * 1024  # in our process
+KERNEL_BYTES = 256 * 1024  # with much less, acknowledgements on this computer's own network come late
 HEARTBEAT_S = 20.0  # a browser that does not answer within half of it is gone
 TRY_AGAIN_LATER = 1013
 
@@ -115,5 +116,5 @@ def _bounded(request: Request) -> asyncio.WriteTransport:
     transport = request.transport
     assert isinstance(transport, asyncio.WriteTransport)
     transport.set_write_buffer_limits(high=BUFFER_BYTES)
-    transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BUFFER_BYTES)
+    transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, KERNEL_BYTES)
     return transport

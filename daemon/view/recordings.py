@@ -14,7 +14,7 @@ SHOWN = 200  # newest first
 
 def listed(directory: Path, current: str) -> list[dict[str, Any]]:
     """Name, bytes, time of the last change (wall clock) of each recording, newest first; `current` is being written."""
-    rows = []
+    rows: list[dict[str, Any]] = []
     try:
         entries = list(directory.iterdir())
     except OSError:
