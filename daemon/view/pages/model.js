@@ -86,7 +86,11 @@ export class Model {
   }
 
   get undetermined() {
-    return this.estimate !== null && this.hello !== null && this.estimate.sigma_mm >= this.undeterminedShare * this.hello.stroke_mm;
+    return this.estimate !== null && !this.isDetermined(this.estimate);
+  }
+
+  isDetermined(estimate) {
+    return this.hello === null || estimate.sigma_mm < this.undeterminedShare * this.hello.stroke_mm;
   }
 }
 

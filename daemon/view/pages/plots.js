@@ -67,10 +67,11 @@ export class Plots {
     const { blue, band, dots, limits } = this.colours;
     const frame = { from: last.t_s - WINDOW_S, to: last.t_s, timeWords: axisTime, roundS: fullMinute(), colours: this.colours, cursor: this.cursor };
     const draw = (name, ...series) => this.charts[name].draw({ ...frame, series });
+    const known = rows.filter((row) => this.model.isDetermined(row));
     draw("stroke",
-      { kind: "band", colour: band, points: around(rows, "displacement_mm", "sigma_mm") },
+      { kind: "band", colour: band, points: around(known, "displacement_mm", "sigma_mm") },
       { kind: "dots", colour: dots, points: readings(rows) },
-      { kind: "line", colour: blue, points: course(rows, "displacement_mm") });
+      { kind: "line", colour: blue, points: course(known, "displacement_mm") });
     draw("velocity",
       { kind: "band", colour: band, points: around(rows, "velocity_mm_s", "velocity_sigma_mm_s") },
       { kind: "line", colour: blue, points: course(rows, "velocity_mm_s") });

@@ -38,6 +38,11 @@ function sigmaWords(model) {
 export function doing(estimate) {
   if (estimate.segment === "ZUPT") return text("atRest");
   const phase = estimate.segment === "CVS" ? "steady" : "changing";
-  if (Math.abs(estimate.velocity_mm_s) < STILL_MM_S) return text("startingUp");
-  return `${text(estimate.velocity_mm_s > 0 ? "pushing" : "retracting")} · ${text(phase)}`;
+  return `${text(direction(estimate))} · ${text(phase)}`;
+}
+
+/** Only if the velocity tells it. */
+function direction({ velocity_mm_s: velocity, velocity_sigma_mm_s: sigma }) {
+  if (Math.abs(velocity) < Math.max(STILL_MM_S, BAND * (sigma ?? 0))) return "moving";
+  return velocity > 0 ? "pushing" : "retracting";
 }

@@ -168,8 +168,9 @@ def test_a_socket_that_may_not_be_read_is_told(short_path: Path) -> None:
     """To an ordinary user: the superuser, as in a container, may read all."""
     port = free_port()
     program = (
-        "import os, sys, aiohttp.web, encodings.idna, daemon.commands.view, daemon.view.server, daemon.view.token\n"
-        "import daemon.settings, daemon.configuration\n"  # before the rights to read them are gone
+        # Before the right to read them is gone.
+        "import os, sys, importlib.metadata, encodings.idna, aiohttp.web, daemon.cli, daemon.commands.view\n"
+        "import daemon.configuration, daemon.recording.metadata, daemon.view.server, daemon.view.token\n"
         "if os.geteuid() == 0: os.setgroups([]); os.setgid(65534); os.setuid(65534)\n"
         "from daemon.cli import main; sys.exit(main(sys.argv[1:]))"
     )
