@@ -169,8 +169,8 @@ def test_a_socket_that_may_not_be_read_is_told(short_path: Path) -> None:
     port = free_port()
     program = (
         # Before the right to read them is gone.
-        "import os, sys, importlib.metadata, encodings.idna, aiohttp.web, daemon.cli, daemon.commands.view\n"
-        "import daemon.configuration, daemon.recording.metadata, daemon.view.server, daemon.view.token\n"
+        "import os, sys, importlib.metadata, encodings.utf_8_sig, aiohttp.web, daemon.cli, daemon.commands.view\n"
+        "import daemon.recording.metadata, daemon.settings, daemon.view.server, daemon.view.token, tempfile, signal\n"
         "if os.geteuid() == 0: os.setgroups([]); os.setgid(65534); os.setuid(65534)\n"
         "from daemon.cli import main; sys.exit(main(sys.argv[1:]))"
     )
