@@ -17,6 +17,7 @@ import pytest
 
 from daemon.cli import main
 from daemon.service.installer import shipped
+from daemon.service.live import LINES_PER_VIEWER, WRITE_BUFFER_BYTES
 from tests.daemon.view.view_kit import daemon_at, free_port, wait_until
 
 PATIENCE_S = 60.0
@@ -164,13 +165,31 @@ def test_neither_a_daemon_in_full_spate_nor_a_deaf_browser_makes_it_grow(short_p
         assert sizes[-1] - sizes[0] < 3000, sizes
 
 
+def test_a_view_that_stands_still_costs_the_daemon_no_memory_and_goes_on_later(short_path: Path) -> None:
+    with daemon_at(short_path / "live") as daemon, started(short_path, "--port", str(free_port())) as (process, _):
+        daemon.start(talk=False)
+        wait_until(lambda: daemon.viewers == 1)
+        assert daemon._server is not None
+        (viewer,) = daemon._server._viewers
+        process.send_signal(signal.SIGSTOP)
+        for _ in range(2000):
+            daemon.push("event", {"t_s": 0.0, "what": "x" * 10_000})
+        assert len(viewer._lines) == LINES_PER_VIEWER
+        assert viewer._writer.transport.get_write_buffer_size() < WRITE_BUFFER_BYTES + 2 * 10_100
+        assert daemon._server.dropped > 1500
+        process.send_signal(signal.SIGCONT)
+        wait_until(lambda: not viewer._lines)
+        assert daemon.viewers == 1
+
+
 def test_a_socket_that_may_not_be_read_is_told(short_path: Path) -> None:
     """To an ordinary user: the superuser, as in a container, may read all."""
     port = free_port()
     program = (
         # Before the right to read them is gone.
-        "import os, sys, importlib.metadata, encodings.utf_8_sig, aiohttp.web, daemon.cli, daemon.commands.view\n"
-        "import daemon.recording.metadata, daemon.settings, daemon.view.server, daemon.view.token, tempfile, signal\n"
+        "import os, sys, signal, tempfile, importlib.metadata, encodings.utf_8_sig, encodings.cp1252, aiohttp.web\n"
+        "import daemon.cli, daemon.commands.view\n"
+        "import daemon.recording.metadata, daemon.settings, daemon.view.server, daemon.view.token\n"
         "if os.geteuid() == 0: os.setgroups([]); os.setgid(65534); os.setuid(65534)\n"
         "from daemon.cli import main; sys.exit(main(sys.argv[1:]))"
     )
