@@ -136,7 +136,7 @@ def is_own_name(name: str, *, loopback: bool) -> bool:
         ipaddress.ip_address(name)
     except ValueError:
         own = socket.gethostname().lower()
-        return name.lower() in (own, f"{own}.local", socket.getfqdn().lower())
+        return name.lower() in (own, own.partition(".")[0], f"{own}.local")
     return True
 
 
@@ -147,4 +147,4 @@ def same_place(origin: str, host: str) -> bool:
 
 
 def _equal(given: str, token: str) -> bool:
-    return hmac.compare_digest(given.encode(), token.encode())
+    return hmac.compare_digest(given.encode(errors="backslashreplace"), token.encode())

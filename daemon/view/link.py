@@ -110,9 +110,16 @@ class DaemonLink:
 
 def _parsed(raw: bytes) -> dict[str, Any]:
     try:
-        line = json.loads(raw)
+        line = json.loads(raw, parse_constant=_refuse)
     except ValueError as error:
         raise _NotTheDaemonError from error
     if not isinstance(line, dict) or not isinstance(line.get("type"), str):
         raise _NotTheDaemonError
+    if not all(isinstance(line.get(name, []), list) for name in ("moves", "events")):
+        raise _NotTheDaemonError
     return line
+
+
+def _refuse(constant: str) -> None:
+    """NaN and infinity are no JSON; no browser takes them."""
+    raise ValueError(constant)

@@ -24,7 +24,7 @@ def listed(directory: Path, current: str) -> list[dict[str, Any]]:
             rows.append({"name": path.name, "bytes": found.st_size, "changed_s": found.st_mtime})
     rows.sort(key=lambda row: row["changed_s"], reverse=True)
     for row in rows:
-        row["growing"] = str(directory / row["name"]) == current
+        row["growing"] = row["name"] == Path(current).name
     return rows[:SHOWN]
 
 

@@ -42,7 +42,7 @@ class ViewServer:
         silent_s: float = SILENT_S,
         command: Command = review_command,
     ) -> None:
-        self._directory = directory
+        self._directory = directory.absolute()  # a report is made in another working directory
         self._guard = guard
         self._pages = {path.name: path.read_bytes() for path in PAGES.iterdir() if path.suffix in _TYPES}
         self.browsers = Browsers()

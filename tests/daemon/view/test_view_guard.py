@@ -236,6 +236,14 @@ def test_a_wrong_token_opens_nothing(locked: RunningView, token: str) -> None:
     assert ask(locked, Cookie=f"ramstroke_view_{locked.port}={quote(token)}").status == 401
 
 
+def test_bytes_that_are_no_text_are_no_token(locked: RunningView) -> None:
+    with socket.create_connection(("127.0.0.1", locked.port), timeout=10) as channel:
+        host = f"Host: 127.0.0.1:{locked.port}".encode()
+        cookie = f"Cookie: ramstroke_view_{locked.port}=".encode() + b"\xff\xfe"
+        channel.sendall(b"GET / HTTP/1.1\r\n" + host + b"\r\n" + cookie + b"\r\n\r\n")
+        assert channel.recv(65536).split()[1] in (b"400", b"401")
+
+
 def test_the_token_in_the_address_is_kept_in_a_cookie_that_scripts_and_other_sites_do_not_get(
     locked: RunningView,
 ) -> None:

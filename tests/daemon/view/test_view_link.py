@@ -165,6 +165,8 @@ def test_the_server_speaks_also_without_a_daemon(view: RunningView) -> None:
         (b"SSH-2.0\n", "foreign"),
         (b"[]\n", "foreign"),
         (b'{"no":"type"}\n', "foreign"),
+        (b'{"type":"hello","moves":null}\n', "foreign"),
+        (b'{"type":"estimate","displacement_mm":NaN}\n', "foreign"),
         (b"\xff\xfe\n", "foreign"),
         (b"x" * (2 << 20), "foreign"),
         (b'{"type":"refused","viewers":16}\n', "full"),
