@@ -3,11 +3,13 @@
 import { current } from "./words.js";
 
 const NUMBERS = { millimetres: 1, speed: 1 };
+const UNSTEADY_MS = 250; // less is the network's doing, and would make every time on the page tremble
 let offsetMs = null; // the browser's clock minus the daemon's monotonic one
 
 /** Learn the daemon's clock from a message that carries its present time. */
 export function setClock(nowS) {
-  offsetMs = Date.now() - nowS * 1e3;
+  const heard = Date.now() - nowS * 1e3;
+  if (offsetMs === null || Math.abs(heard - offsetMs) > UNSTEADY_MS) offsetMs = heard;
 }
 
 export function clockKnown() {
