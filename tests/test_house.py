@@ -19,7 +19,7 @@ MAY_IMPORT = {
     "drivers": ("drivers", "estimation.records"),
     "daemon": ("daemon", "drivers", "estimation"),
 }
-HEAVY = ("scipy", "sklearn", "pandas", "matplotlib", "asammdf", "numba", "plotly", "pyarrow", "aiohttp")
+HEAVY = ("scipy", "sklearn", "pandas", "matplotlib", "asammdf", "numba", "plotly", "pyarrow", "aiohttp", "foxglove")
 OFFLINE_ONLY = (*HEAVY, "rich")
 
 

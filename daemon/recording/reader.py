@@ -30,9 +30,9 @@ class Recording:
 
     complete: the file has its index, so that every MCAP tool can open it.
     counts: messages per topic that `messages` has given so far.
+    share_read: of the file's bytes, how much `messages` or `raw_messages` has gone through, 0 to 1.
     lost: messages known to be missing, by sequence numbers and by the index behind a damaged chunk; grows
         while messages are read.
-    share: of the file that has been read, 0 to 1; grows while messages are read.
     Raises `RecordingError` when the file cannot be read or is no recording of this program.
     """
 
@@ -40,13 +40,14 @@ class Recording:
         self.path = path
         self.counts: Counter[str] = Counter()
         self.lost = 0
-        self.share = 0.0
         self._damage = DamageLog()
         self._contents = Contents()
         with self._open() as (stream, size):
             self.complete = scan.has_index(stream, size)
+        self.share_read = 0.0
         with closing(self._walk()) as walk:
             next(walk, None)  # all that describes the file stands before its first message
+        self.share_read = 0.0
         if not self._contents.is_ours:
             raise RecordingError(self._why_not_ours())
 
@@ -138,7 +139,7 @@ class Recording:
         with self._open() as (stream, size):
             try:
                 for record in scan.walk(stream, size, damage):
-                    self.share = record.offset / size
+                    self.share_read = record.offset / size
                     if record.opcode == scan.CHUNK:
                         try:
                             data = scan.open_chunk(record.body)
@@ -159,6 +160,7 @@ class Recording:
             except OSError as error:
                 damage.add(f"the disk cannot read on: {error.strerror or error}; unreadable", stream.tell())
         self.lost = gaps.total()
+        self.share_read = 1.0
 
     def _messages_in(self, data: bytes, offset: int, gaps: _Gaps) -> Iterator[_Located]:
         """Messages among the records `data` of a chunk at `offset`."""

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from daemon.offline.replaying.replay import ReplayResult, settings_of
+from daemon.offline.replaying.replay import Progress, ReplayResult, settings_of
 from daemon.offline.replaying.replay import replay as replay_ours
 from daemon.recording import topics
 from daemon.recording.errors import RecordingError
@@ -63,7 +63,7 @@ def replay_method(
     method: str,
     settings: Settings | None = None,
     sink: Sink | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress | None = None,
 ) -> ReplayResult:
     """Replay with a batch method; arguments and errors as for `replay`.
 

@@ -117,7 +117,7 @@ def review_mount(path: Path, progress: Callable[[float], None] | None = None) ->
                 calibration.feed(SensorChange(record.t_ns))
             part = record
         if progress is not None and count % 5000 == 0:
-            progress(recording.share)
+            progress(recording.share_read)
     return MountReview(calibration.estimate(), settings.mount)
 
 

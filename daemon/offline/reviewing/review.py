@@ -135,7 +135,7 @@ def review(
     last_ns: int | None = None
     for count, (topic, record) in enumerate(recording.messages()):
         if reading is not None and count % 5000 == 0:
-            reading(recording.share)
+            reading(recording.share_read)
         for onlooker in onlookers:
             onlooker.recorded(topic, record)
         if isinstance(record, Burst) and record.fault is not Fault.NONE:
