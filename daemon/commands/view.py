@@ -11,9 +11,10 @@ HELP = (
 )
 EXAMPLE = (
     "ramstroke view   # then open http://127.0.0.1:8448/\n"
-    "  ramstroke view --listen 0.0.0.0   # for other computers, with a token"
+    "  ramstroke view --listen 0.0.0.0   # for other computers, with a token\n"
+    "  ramstroke view --foxglove         # then open ws://127.0.0.1:8765 in Foxglove or Lichtblick"
 )
-PORT = 8448
+PORT, FOXGLOVE_PORT = 8448, 8765
 POLITENESS = 10  # the daemon and its sensors come first
 
 
@@ -23,12 +24,39 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--listen", metavar="ADDRESS", default="127.0.0.1", help="default 127.0.0.1: this computer only"
     )
-    parser.add_argument("--port", type=_port, default=PORT, metavar="N", help=f"default {PORT}")
+    parser.add_argument("--port", type=_port, metavar="N", help=f"default {PORT}, or {FOXGLOVE_PORT} with --foxglove")
     parser.add_argument("--token-file", type=Path, metavar="FILE", help="the secret that browsers must know")
+    parser.add_argument(
+        "--foxglove", action="store_true", help="serve Foxglove and Lichtblick in place of browsers, this computer only"
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Serve until stopped."""
+    return _serve_foxglove(arguments) if arguments.foxglove else _serve_page(arguments)
+
+
+def _serve_foxglove(arguments: argparse.Namespace) -> int:
+    import os
+
+    from daemon.configuration import load
+    from daemon.errors import UsageError
+    from daemon.settings import Settings
+    from daemon.view.foxglove.server import serve
+
+    if arguments.token_file is not None:
+        raise UsageError("--token-file is for the page: Foxglove's protocol knows no token")
+    settings = load(arguments.config) if arguments.config else Settings()
+
+    def tell(address: str) -> None:
+        print(f"for Foxglove and Lichtblick: {address}", flush=True)
+
+    os.nice(POLITENESS)
+    serve(settings.service.socket, arguments.listen, arguments.port or FOXGLOVE_PORT, tell)
+    return 0
+
+
+def _serve_page(arguments: argparse.Namespace) -> int:
     import asyncio
     import os
     import sys
@@ -47,10 +75,11 @@ def run(arguments: argparse.Namespace) -> int:
         raise CommandError('the live page needs aiohttp: pip install "ramstroke[view]"') from error
 
     settings = load(arguments.config) if arguments.config else Settings()
+    port = arguments.port or PORT
     loopback = is_loopback(arguments.listen)
     token = tokens.read(arguments.token_file) if arguments.token_file else None if loopback else tokens.made()
     is_made = token is not None and not arguments.token_file
-    address = f"http://{_host(arguments.listen)}:{arguments.port}/" + (f"?token={token}" if is_made else "")
+    address = f"http://{_host(arguments.listen)}:{port}/" + (f"?token={token}" if is_made else "")
 
     async def main() -> None:
         import signal
@@ -63,9 +92,9 @@ def run(arguments: argparse.Namespace) -> int:
                 settings.service.socket,
                 settings.recording.directory,
                 Path(scratch),
-                Guard(token, loopback=loopback, port=arguments.port),
+                Guard(token, loopback=loopback, port=port),
             )
-            await serve(server, arguments.listen, arguments.port, stopping, tell)
+            await serve(server, arguments.listen, port, stopping, tell)
 
     def tell() -> None:
         print(f"the live page: {address}", flush=True)

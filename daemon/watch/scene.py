@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from dataclasses import dataclass, field
-from math import isfinite
+from math import isfinite, nan
 from typing import Any, Literal
 
 from daemon.service.health import UNDETERMINED_SHARE
@@ -122,14 +122,22 @@ class Scene:
             self.parts = tuple(self._part(name, content[name]) for name in PARTS if name in content)
             if content["estimate"] is not None:
                 self._take_estimate(content["estimate"])
+            if kind == "hello":
+                self._take_what_was(content)
         elif kind == "estimate":
             self._take_estimate(content)
         elif kind == "move":
             self.moves.append(self._moved(content))
         elif kind == "event":
-            self.events.append(Happened(self._wall(content["t_s"]), _text(content["what"])))
+            self.events.append(self._happened(content))
         elif kind == "dropped":
             self.lost = int(_number(content["lines"]))
+
+    def _take_what_was(self, content: dict[str, Any]) -> None:
+        self.moves.clear()
+        self.moves.extend(self._moved(row) for row in content["moves"])
+        self.events.clear()
+        self.events.extend(self._happened(row) for row in content["events"])
 
     def _take_estimate(self, row: dict[str, Any]) -> None:
         self.stroke = Stroke(
@@ -152,20 +160,28 @@ class Scene:
     def _part(self, name: str, row: dict[str, Any]) -> Part:
         return Part(name, _text(row["state"]), self._wall(row["since_s"]), _text(row["what"]), _text(row["advice"]))
 
+    def _happened(self, row: dict[str, Any]) -> Happened:
+        return Happened(self._wall(row["t_s"]), _text(row["what"]))
+
     def _moved(self, row: dict[str, Any]) -> Moved:
         return Moved(
             _text(row["kind"]),
             self._wall(row["onset_s"]),
             self._wall(row["stop_s"]),
-            _number(row["start_mm"]),
-            _number(row["end_mm"]),
-            _number(row["sigma_mm"]),
-            _number(row["velocity_mm_s"]),
+            _known(row["start_mm"]),
+            _known(row["end_mm"]),
+            _known(row["sigma_mm"]),
+            _known(row["velocity_mm_s"]),
             _text(row["can_state"]),
         )
 
     def _wall(self, t_s: object) -> float:
         return _number(t_s) + self._wall_minus_t
+
+
+def _known(value: object) -> float:
+    """Of a move that was not seen whole some numbers are not known: NaN."""
+    return nan if value is None else _number(value)
 
 
 def _number(value: object) -> float:

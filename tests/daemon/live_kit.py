@@ -28,7 +28,8 @@ def status(row: dict[str, Any] | None = None, **parts: dict[str, Any]) -> dict[s
 
 
 def hello(row: dict[str, Any] | None = None, **parts: dict[str, Any]) -> dict[str, Any]:
-    return {"type": "hello", "version": "9.8.7", "stroke_mm": 500.0} | status(row, **parts)
+    greeting = {"type": "hello", "version": "9.8.7", "stroke_mm": 500.0, "moves": [], "events": []}
+    return greeting | status(row, **parts)
 
 
 def encoded(content: dict[str, Any]) -> bytes:

@@ -21,7 +21,7 @@ from daemon.recording import schemas, topics
 from daemon.recording.cdr import Layout, fields
 from daemon.recording.topics import TOPICS
 from daemon.recording.writer import RecordingWriter
-from daemon.view_foxglove.channels import LOG_TOPIC, SCHEMAS
+from daemon.view.foxglove.channels import LOG_TOPIC, SCHEMAS
 from tests.conftest import DemoRun
 from tests.daemon.recording_kit import ATTACHMENTS, METADATA, ONE_OF_EACH
 

@@ -20,8 +20,8 @@ import aiohttp
 import pytest
 
 from daemon.errors import CommandError, UsageError
-from daemon.view_foxglove.channels import SCHEMAS
-from daemon.view_foxglove.server import BACKLOG, serve
+from daemon.view.foxglove.channels import SCHEMAS
+from daemon.view.foxglove.server import BACKLOG, serve
 from tests.daemon.live_kit import FakeDaemon, estimate, status
 
 PATIENCE_S = 30.0
@@ -33,12 +33,16 @@ MOVE = {"kind": "push", "onset_s": 1.0, "stop_s": 2.0, "start_mm": 0.0, "end_mm"
 @contextmanager
 def serving(path: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """The server as a program, and its address."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "daemon.view_foxglove", str(path), "--port", "0"], stderr=subprocess.PIPE, text=True
-    )
+    config = path.with_name("view.toml")
+    config.write_text(f'[service]\nsocket = "{path}"\n')
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    command = [sys.executable, "-m", "daemon.cli", "view", "--foxglove", "--config", str(config), "--port", str(port)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
-        assert process.stderr is not None
-        yield process, process.stderr.readline().strip()
+        assert process.stdout is not None
+        yield process, process.stdout.readline().strip().removeprefix("for Foxglove and Lichtblick: ")
     finally:
         if process.poll() is None:
             process.kill()

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from daemon.errors import CommandError, UsageError
 from daemon.service.live_client import ForbiddenError, Gone, LiveLink
-from daemon.view_foxglove.channels import LOG_TOPIC, SCHEMAS, TOPICS
+from daemon.view.foxglove.channels import LOG_TOPIC, SCHEMAS, TOPICS
 
 if TYPE_CHECKING:
     from foxglove import Channel
@@ -44,7 +44,7 @@ def refuse_beyond_loopback(host: str, port: int) -> None:
         if host == "localhost" or ipaddress.ip_address(host).is_loopback:
             return
     raise UsageError(
-        f"--host {host}: Foxglove's protocol knows no password, so only this computer is served; from another one: "
+        f"--listen {host}: Foxglove's protocol knows no password, so only this computer is served; from another one: "
         f"ssh -L {port}:127.0.0.1:{port} USER@THIS_COMPUTER, and open ws://127.0.0.1:{port} there"
     )
 
