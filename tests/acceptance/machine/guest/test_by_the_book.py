@@ -24,6 +24,7 @@ from tests.acceptance.machine.guest.kit import (
     start_support,
     status,
     wait_for,
+    write_config,
 )
 
 DIST = SHARE / "dist"
@@ -34,7 +35,7 @@ INSTALL = f"sudo sh systemd/install.sh --offline dist/ramstroke-{VERSION}-py3-no
 NEXT = {f"dist/{WHEEL.name}": f"next/{NEXT_WHEEL.name}"}
 PROGRAM = Path("/opt/ramstroke")
 STATE = Path("/var/lib/ramstroke/state.json")
-STROKE_S = 100.0
+SUPPORT = Path("/run/support.toml")
 
 FOLDERS = ("/etc", "/opt", "/root", "/usr/local", "/var/lib")
 NOT_OF_THE_PROGRAM = ("/opt/tests", "/var/lib/machine-support", "/var/lib/systemd", "/var/lib/private")
@@ -110,8 +111,6 @@ def test_section_2_the_program_is_installed() -> None:
 
 
 def test_section_4_the_bus_comes_up() -> None:
-    run("modprobe", "-a", "vcan", "can-raw")
-    run("ip", "link", "add", "dev", "can0", "type", "vcan")
     documented("sudo cp systemd/80-can0.network /etc/systemd/network/")
     documented("sudo systemctl enable --now systemd-networkd")
     wait_for("can0 is up", lambda: "UP" in run("ip", "-brief", "link", "show", "can0").split("<")[-1])
@@ -131,7 +130,10 @@ def test_section_6_the_configuration_is_good() -> None:
 def test_section_7_the_service_starts() -> None:
     load_devices()
     allow_slowness()
-    start_support()
+    # The controller's end of the bus.
+    run("ip", "link", "set", "can1", "up", "type", "can", "bitrate", "250000")
+    write_config(SUPPORT, "can1")
+    start_support(SUPPORT)
     with timed("start"):
         assert "started" in documented("sudo ramstroke install-service --start")
     assert properties("ActiveState", "UnitFileState") == {"ActiveState": "active", "UnitFileState": "enabled"}
