@@ -17,6 +17,7 @@ from drivers.adis16448.quality import WORDS
 from estimation.recognition.motion import Decision
 from estimation.records import CanState, MoveKind
 from tests.browser.conftest import DESKTOP, PHONE, SMALL, OpenPage
+from tests.conftest import DemoRun
 from tests.daemon.view.view_kit import (
     FakeDaemon,
     RunningView,
@@ -347,6 +348,22 @@ def test_a_report_is_made_on_demand_and_runs_caged(open_page: OpenPage, view: Ru
     expect(popup.value.locator("h1")).to_have_text("report")
     assert popup.value.title() == "run"  # its scripts run
     assert popup.value.evaluate("origin") == "null"  # apart from the page
+
+
+def test_the_report_of_review_works_in_that_cage(
+    open_page: OpenPage, daemon: FakeDaemon, short_path: Path, demo_run: DemoRun
+) -> None:
+    with viewing(short_path) as view:
+        (short_path / "recordings" / "a.mcap").write_bytes(demo_run.recording.read_bytes())
+        page = opened(open_page, view)
+        page.get_by_role("button", name="Make a report of a.mcap").click()
+        link = page.get_by_role("link", name="Open the report of a.mcap")
+        expect(link).to_be_visible(timeout=120_000)
+        with page.context.expect_page() as popup:
+            link.click()
+        report = popup.value
+        report.locator(".plots").first.scroll_into_view_if_needed()
+        expect(report.locator(".plot .main-svg").first).to_be_visible(timeout=30_000)
 
 
 def test_the_language_is_the_browsers_until_one_is_chosen_and_then_remembered(
