@@ -11,6 +11,7 @@ import tempfile
 import time
 from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime, timedelta
+from itertools import takewhile
 from pathlib import Path
 
 from tests.acceptance.machine.build import Built, build, build_next_version
@@ -148,7 +149,8 @@ def _tell_doctor(path: Path) -> None:
     for line in path.read_text().splitlines() if path.exists() else ():
         row = json.loads(line)
         print(f"doctor, {row['set_up']}: exit code {row['code']}")
-        print("".join(f"    {said}\n" for said in row["to_do"]), end="")
+        mend = list(takewhile(lambda said: said != "Better:", row["to_do"]))
+        print("".join(f"    {said}\n" for said in mend), end="")
 
 
 def _report(group: str, outcome: Outcome) -> None:
