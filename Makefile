@@ -1,5 +1,7 @@
 # make demo    one cycle of the virtual support, measured; results in demo/
 # make test    all tests
+# make browser the live page and the report in a browser (Chromium must be installed)
+# make screenshots  the pictures of page and report in docs/images (Chromium)
 # make acceptance  the installed service on a real kernel: spidev, GPIO, SocketCAN, systemd (Debian 12, as root)
 # make coverage  the same with branch coverage (half as fast)
 # make check   ruff and mypy
@@ -11,13 +13,21 @@ VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/installed
 
-.PHONY: demo test acceptance coverage check bench docs faults rebase clean
+.PHONY: demo test browser screenshots acceptance coverage check bench docs faults rebase clean
 
 demo: $(INSTALLED)
 	$(BIN)/ramstroke demo --out demo
 
 test: $(INSTALLED)
 	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadscope
+
+browser: $(INSTALLED)
+	$(BIN)/python -m pytest tests/browser
+
+screenshots: demo
+	$(BIN)/ramstroke review demo/demo.mcap -o demo/report.html --methods kf2
+	$(BIN)/python -m tests.browser.report_pages demo/report.html docs/images/report.png
+	$(BIN)/python -m tests.browser.live_pictures
 
 acceptance: $(INSTALLED)
 	$(BIN)/python -m tests.acceptance.machine.acceptance

@@ -13,6 +13,10 @@ import textwrap
 from collections.abc import Sequence
 from types import ModuleType
 
+from daemon.interrupt import interruptible
+
+INTERRUPTED = 130
+
 # Command -> module in daemon.commands. Only the module of the command in use is imported.
 COMMANDS = {
     "demo": "demo",
@@ -23,6 +27,8 @@ COMMANDS = {
     "remove-service": "remove_service",
     "doctor": "doctor",
     "status": "status",
+    "view": "view",
+    "watch": "watch",
     "import": "import_csv",
     "replay": "replay",
     "review": "review",
@@ -40,6 +46,8 @@ SUMMARY = {
     "remove-service": "take the service away; recordings stay",
     "doctor": "what is wrong with wires, sensors, CAN, disk, rights, service, and what to do",
     "status": "what the running daemon sees",
+    "view": "the live page: what the daemon sees, for browsers",
+    "watch": "the running daemon live at the terminal",
     "import": "make a recording from a CSV table",
     "replay": "run a recording through the estimator again",
     "review": "sum up a recording",
@@ -52,15 +60,24 @@ SUMMARY = {
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
+    with interruptible(is_program=arguments is None) as interrupt:
+        try:
+            return _main(list(sys.argv[1:] if arguments is None else arguments))
+        except BaseException as error:
+            # Some libraries turn an interrupt into an error of their own.
+            if isinstance(error, KeyboardInterrupt) or (isinstance(error, Exception) and interrupt.has_come):
+                print("interrupted", file=sys.stderr)
+                return INTERRUPTED
+            raise
+
+
+def _main(arguments: list[str]) -> int:
     try:
         from daemon.errors import describe
 
-        code = _run(list(sys.argv[1:] if arguments is None else arguments))
+        code = _run(arguments)
         sys.stdout.flush()  # at the interpreter's end a broken pipe could no longer be caught
         return code
-    except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
-        return 130
     except BrokenPipeError:
         # The reader of our output has gone, as with `| head`; nobody is left to tell.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

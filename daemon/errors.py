@@ -8,7 +8,7 @@ from drivers.adis16448.device import ImuError
 from drivers.can.settings import CanConfigError
 
 FAILED, MISUSED = 1, 2
-OFFLINE = ("scipy", "sklearn", "matplotlib", "tomlkit")  # of the extra `offline`
+OFFLINE = ("scipy", "sklearn", "matplotlib", "plotly", "tomlkit")  # of the extra `offline`
 
 
 class CommandError(Exception):

@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from estimation.learned import Flow, Learned
-from estimation.records import Estimate, Move
+from estimation.records import Displacement, Estimate, Move
 
 
 def estimate_row(estimate: Estimate) -> dict[str, Any]:
@@ -19,6 +19,21 @@ def estimate_row(estimate: Estimate) -> dict[str, Any]:
         "segment": str(estimate.segment),
         "can_state": str(estimate.can_state),
         "move": estimate.move,
+    }
+
+
+def live_row(estimate: Estimate, observed: Displacement | None) -> dict[str, Any]:
+    """The present state with what its plots show; `observed`: the newest valid reading of the displacement sensor."""
+    row = estimate_row(estimate) | {
+        "velocity_sigma_mm_s": round(estimate.velocity_sigma_m_s * 1e3, 3),
+        "acceleration_m_s2": round(estimate.acceleration_m_s2, 5),
+        "chart_lower_m_s2": round(estimate.chart_lower_m_s2, 5),
+        "chart_upper_m_s2": round(estimate.chart_upper_m_s2, 5),
+        "observed_s": None if observed is None else observed.t_ns * 1e-9,
+        "observed_mm": None if observed is None else round(observed.value_m * 1e3, 3),
+    }
+    return {
+        name: None if isinstance(value, float) and not math.isfinite(value) else value for name, value in row.items()
     }
 
 

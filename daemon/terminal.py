@@ -33,12 +33,12 @@ def say(text: str) -> None:
 
 
 @contextmanager
-def progress(what: str, total: float | None = None) -> Iterator[Callable[[float], None]]:
-    """A bar on standard error; call it with how much is done. Silent when standard error is no terminal."""
+def progress(what: str, total: float = 1.0) -> Iterator[Callable[[float], None]]:
+    """A bar on standard error; call it with how much of `total` is done. Silent when standard error is no terminal."""
     bar = Progress(
         TextColumn("{task.description}"),
         BarColumn(),
-        TextColumn("{task.completed:.0f}" if total is None else "{task.percentage:.0f} %"),
+        TextColumn("{task.percentage:.0f} %"),
         TimeRemainingColumn(),
         console=ERR,
         transient=True,

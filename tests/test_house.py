@@ -19,7 +19,7 @@ MAY_IMPORT = {
     "drivers": ("drivers", "estimation.records"),
     "daemon": ("daemon", "drivers", "estimation"),
 }
-HEAVY = ("scipy", "sklearn", "pandas", "matplotlib", "asammdf", "numba")
+HEAVY = ("scipy", "sklearn", "pandas", "matplotlib", "asammdf", "numba", "plotly", "pyarrow", "aiohttp", "foxglove")
 OFFLINE_ONLY = (*HEAVY, "rich")
 
 
@@ -105,6 +105,9 @@ def test_a_wheel_holds_the_three_packages_and_the_configuration(wheel: Path) -> 
         assert "ramstroke = daemon.cli:main" in opened.read(metadata).decode()
     expected = {str(path.relative_to(HOUSE)) for package in PACKAGES for path in sources(package)}
     expected |= {str(path.relative_to(HOUSE)) for path in (HOUSE / "config").rglob("*.*") if path.is_file()}
+    page = HOUSE / "daemon" / "offline" / "report" / "page"
+    expected |= {str(path.relative_to(HOUSE)) for path in page.iterdir()}
+    expected |= {str(path.relative_to(HOUSE)) for path in (HOUSE / "daemon" / "view" / "pages").iterdir()}
     assert expected <= names
     assert sum(name.startswith("config/dbc/") and name.endswith(".dbc") for name in names) >= 4
     assert not any(name.startswith("tests/") for name in names)

@@ -165,7 +165,7 @@ def _rests(arguments: argparse.Namespace) -> tuple[Path, Settings, dict[Role, Re
             path, rests = live_rests(settings.service.socket, seconds, progress)
     else:
         path = arguments.file
-        with terminal.progress("messages") as progress:
+        with terminal.progress(f"reading {path.name}") as progress:
             rests = rests_at_beginning(path, arguments.duration, progress)
     return path, settings_of(Recording(path)), rests
 

@@ -62,7 +62,7 @@ def run(arguments: argparse.Namespace) -> int:
     settings = demo_settings(arguments.seed, arguments.imu)
     if faults is not None:
         refuse_unplayable(faults, settings.jy901.use)
-    with terminal.progress("virtual cycle", 1.0) as progress:
+    with terminal.progress("virtual cycle") as progress:
         result = run_demo(settings, recording, progress, faults, arguments.rest)
     truth = virtual_support(settings, cycles=1, rest_s=arguments.rest).truth()
     plot_demo(picture, truth, result.settled, result.observed)

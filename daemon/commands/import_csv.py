@@ -28,7 +28,7 @@ def run(arguments: argparse.Namespace) -> int:
     from daemon.settings import Settings
 
     settings = load(arguments.config) if arguments.config else Settings()
-    with terminal.progress("rows") as progress:
+    with terminal.progress(f"reading {arguments.file.name}") as progress:
         report = import_csv(arguments.file, arguments.output, settings.model_dump_json(), progress=progress)
     if arguments.json:
         terminal.print_json(

@@ -22,6 +22,18 @@ def known(name: str) -> str:
     return choices.known("--method", name, METHODS)
 
 
+def several(names: str | None) -> list[str]:
+    """The batch methods of a list such as `kf2,kf3`. Raises UsageError."""
+    from daemon.errors import UsageError
+    from estimation.methods.registry import METHODS
+
+    found = list(dict.fromkeys(name.strip() for name in (names or "").split(",") if name.strip()))
+    for name in found:
+        if METHODS[choices.known("--methods", name, METHODS)].course is None:
+            raise UsageError(f"--methods {name}: that one is in the report anyway; name others")
+    return found
+
+
 def show() -> int:
     """Print them."""
     from daemon import terminal

@@ -21,7 +21,7 @@ def run(arguments: argparse.Namespace) -> int:
     from daemon import terminal
     from daemon.recording.recover import recover
 
-    with terminal.progress("messages") as progress:
+    with terminal.progress(f"reading {arguments.file.name}") as progress:
         report = recover(arguments.file, arguments.output, progress)
     if arguments.json:
         terminal.print_json({"messages": report.messages, "lost": report.lost, "damage": report.damage})

@@ -40,7 +40,7 @@ def run(arguments: argparse.Namespace) -> int:
         return methods.show()
     _check(arguments)
     settings = load(arguments.config) if arguments.config else None
-    with terminal.progress("messages") as progress:
+    with terminal.progress(f"replaying {arguments.file.name}") as progress:
         result = replay_to(
             arguments.file,
             settings,

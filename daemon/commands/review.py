@@ -19,18 +19,29 @@ if TYPE_CHECKING:
     from daemon.offline.reviewing.smoothed_moves import SmoothedMove
 
 HELP = (
-    "Sum up a recording: contents, gaps, faults, sensor health, moves, and the errors against the reference "
+    "Sum up recordings: contents, gaps, faults, sensor health, moves, and the errors against the reference "
     "sensor if there is one. The moves are estimated anew from what was received, and smoothed: at each step "
-    "with what came after it."
+    "with what came after it. With -o all of it as one HTML file with plots that works offline; tables and "
+    "pictures with --csv, --parquet and --png."
 )
-EXAMPLE = "ramstroke review /var/lib/ramstroke/recordings/ramstroke-20260105T063000Z.mcap --csv shift.csv"
+EXAMPLE = "ramstroke review /var/lib/ramstroke/recordings/ramstroke-20260105T063000Z.mcap -o shift.html"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
-    parser.add_argument("file", type=Path, nargs="?", help="the recording")
+    parser.add_argument("files", type=Path, nargs="*", metavar="file", help="recordings, one after the other")
+    parser.add_argument(
+        "-o", "--output", type=Path, metavar="REPORT.html", help="write plots, moves, events and settings to this page"
+    )
     methods.configure(parser)
-    parser.add_argument("--csv", type=Path, help="write one row per step, settled and smoothed, to this table")
+    parser.add_argument(
+        "--methods", metavar="NAME,NAME", help="with -o: what these methods say, as further lines beside ours"
+    )
+    parser.add_argument(
+        "--csv", type=Path, metavar="DIR", help="write tables of steps, moves, samples ... here, as CSV"
+    )
+    parser.add_argument("--parquet", type=Path, metavar="DIR", help="the same tables as Parquet")
+    parser.add_argument("--png", type=Path, metavar="DIR", help="pictures for papers here, each as PNG and PDF")
     parser.add_argument(
         "--estimate-mount", action="store_true", help="find out which way the sensor sits: what [mount] should say"
     )
@@ -46,69 +57,99 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Review."""
     from daemon import terminal
-    from daemon.errors import UsageError
-    from daemon.offline.alignment import allan_report
     from daemon.offline.alignment.allan import allan
     from daemon.offline.alignment.allan_plot import plot_allan
     from daemon.offline.reviewing.mount import review_mount
-    from daemon.offline.reviewing.review import review
+    from daemon.offline.reviewing.outputs import Wanted, review_to
+
+    if arguments.method == "list" or arguments.methods == "list":
+        return methods.show()
+    _check(arguments)
+    method, others = methods.known(arguments.method), methods.several(arguments.methods)
+    wanted = Wanted(arguments.output, arguments.csv, arguments.parquet, arguments.png)
+    with terminal.progress("reviewing", 1.0) as progress:
+        all_reviewed = review_to(arguments.files, wanted, method, others, progress)
+    told = []
+    for path, reviewed in zip(arguments.files, all_reviewed, strict=True):
+        with terminal.progress("mount and noise", 1.0) as progress:
+            mount = review_mount(path, progress) if arguments.estimate_mount else None
+            noise = allan(path, progress) if arguments.allan else None
+        if noise is not None and arguments.plot is not None:
+            plot_allan(arguments.plot, noise)
+        if arguments.json:
+            told.append(_row(path, method, reviewed, mount, noise))
+            continue
+        if path != arguments.files[0]:
+            terminal.say("")
+        _print(path, reviewed, mount)
+        if arguments.plot is not None:
+            terminal.say(f"Picture: {arguments.plot}")
+        if noise is not None:
+            _print_noise(noise)  # last: the grade at its end is for pasting
+    if arguments.json:
+        terminal.print_json(told[0] if len(told) == 1 else {"files": told})
+        return 0
+    if wanted.report is not None:
+        terminal.say(f"Report: {wanted.report}")
+    for folder in wanted.folders.values():
+        terminal.say(f"Written: {folder}")
+    return 0
+
+
+def _check(arguments: argparse.Namespace) -> None:
+    from daemon.errors import UsageError
     from daemon.recording.errors import refuse_same_file
 
-    if arguments.method == "list":
-        return methods.show()
-    if arguments.file is None:
+    if not arguments.files:
         raise UsageError("name the recording to review")
+    if len(set(arguments.files)) < len(arguments.files):
+        raise UsageError("a recording is named twice; once is enough")
+    if arguments.methods is not None and arguments.output is None:
+        raise UsageError("--methods adds lines to the report: name -o REPORT.html beside it")
+    if arguments.method != methods.OURS and (arguments.output is not None or arguments.png is not None):
+        raise UsageError("report and pictures show our estimate: name other methods with --methods and -o")
     if arguments.plot is not None:
         if not arguments.allan:
             raise UsageError("--plot draws the Allan deviation: name --allan beside it")
-        refuse_same_file(arguments.file, arguments.plot)
-    method = methods.known(arguments.method)
-    with terminal.progress("messages") as progress:
-        reviewed = review(arguments.file, progress, arguments.csv, method)
-        mount = review_mount(arguments.file, progress) if arguments.estimate_mount else None
-        noise = allan(arguments.file, progress) if arguments.allan else None
-    if noise is not None and arguments.plot is not None:
-        plot_allan(arguments.plot, noise)
+        if len(arguments.files) > 1:
+            raise UsageError("--plot is one picture: name one recording")
+        refuse_same_file(arguments.files[0], arguments.plot)
+
+
+def _row(path: Path, method: str, reviewed: Review, mount: MountReview | None, noise: Allan | None) -> dict[str, Any]:
+    from daemon import terminal
+    from daemon.offline.alignment import allan_report
+
     result = reviewed.replayed
-    if arguments.json:
-        terminal.print_json(
-            {
-                "file": str(arguments.file),
-                "method": method,
-                "complete": reviewed.complete,
-                "version": reviewed.metadata.get("version"),
-                "sensor": reviewed.sensor,
-                "kind": reviewed.metadata.get("kind"),
-                "duration_s": result.duration_s,
-                "samples": result.samples,
-                "identical": result.identical,
-                "messages": dict(reviewed.messages),
-                "lost": reviewed.lost,
-                "damage": result.damage,
-                "faults": dict(reviewed.faults),
-                "gaps": [asdict(gap) for gap in reviewed.gaps],
-                "gaps_not_shown": reviewed.gaps_not_shown,
-                "segments": _shares(reviewed.segments),
-                "can_states": _shares(reviewed.can_states),
-                "events": [{"t_s": event.t_ns * 1e-9, "what": event.what} for event in reviewed.events],
-                "moves": [
-                    terminal.move_row(move) | {"smoothed": _smoothed_row(reviewed.smoothed_moves.of(move))}
-                    for move in result.moves
-                ],
-                "reference": _errors_row(reviewed.reference.settled()),
-                "reference_smoothed": _errors_row(reviewed.reference.smoothed()),
-                "mount": None if mount is None else mount.row(),
-                "allan": None if noise is None else allan_report.row(noise),
-                "health": reviewed.last_health,
-            }
-        )
-        return 0
-    _print(arguments.file, reviewed, mount)
-    if arguments.plot is not None:
-        terminal.say(f"Picture: {arguments.plot}")
-    if noise is not None:
-        _print_noise(noise)  # last: the grade at its end is for pasting
-    return 0
+    return {
+        "file": str(path),
+        "method": method,
+        "complete": reviewed.complete,
+        "version": reviewed.metadata.get("version"),
+        "sensor": reviewed.sensor,
+        "kind": reviewed.metadata.get("kind"),
+        "duration_s": result.duration_s,
+        "samples": result.samples,
+        "identical": result.identical,
+        "messages": dict(reviewed.messages),
+        "lost": reviewed.lost,
+        "damage": result.damage,
+        "faults": dict(reviewed.faults),
+        "gaps": [asdict(gap) for gap in reviewed.gaps],
+        "gaps_not_shown": reviewed.gaps_not_shown,
+        "segments": _shares(reviewed.segments),
+        "can_states": _shares(reviewed.can_states),
+        "events": [{"t_s": event.t_ns * 1e-9, "what": event.what} for event in reviewed.events],
+        "moves": [
+            terminal.move_row(move) | {"smoothed": _smoothed_row(reviewed.smoothed_moves.of(move))}
+            for move in result.moves
+        ],
+        "reference": _errors_row(reviewed.reference.settled()),
+        "reference_smoothed": _errors_row(reviewed.reference.smoothed()),
+        "mount": None if mount is None else mount.row(),
+        "allan": None if noise is None else allan_report.row(noise),
+        "health": reviewed.last_health,
+    }
 
 
 def _shares(counts: Mapping[Any, int]) -> dict[str, float]:

@@ -10,6 +10,7 @@ from typing import Any
 HELP = "Ask the running daemon what it sees: stroke, sensors, recorder, viewers."
 EXAMPLE = "ramstroke status --json"
 PARTS = ("imu", "jy901", "can", "displacement", "estimator", "recorder", "loop")
+PAST = ("moves", "events")  # of the greeting: for viewers that show them
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -30,7 +31,8 @@ def run(arguments: argparse.Namespace) -> int:
     from daemon.settings import Settings
 
     settings = load(arguments.config) if arguments.config else Settings()
-    status = first_line(settings.service.socket)
+    greeting = first_line(settings.service.socket)
+    status = {name: value for name, value in greeting.items() if name not in PAST}
     if arguments.json:
         terminal.print_json(status)
         return 0

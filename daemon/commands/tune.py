@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -107,9 +108,9 @@ def _two_state(arguments: argparse.Namespace, settings: Settings | None) -> int:
 
     budget = arguments.budget or BUDGET
     motions = []
-    with terminal.progress("messages") as progress:
-        for path in arguments.files:
-            motions += motions_of(path, arguments.form, settings, progress)
+    with terminal.progress("reading recordings", len(arguments.files)) as progress:
+        for done, path in enumerate(arguments.files):
+            motions += motions_of(path, arguments.form, settings, _on_from(done, progress))
     observed = [motion.observed for motion in motions]
     tuned = tune(observed, arguments.form, arguments.method, arguments.objective, arguments.seed, budget)
     others = tuned_on_others(motions, arguments.form, arguments.method, arguments.objective, arguments.seed, budget)
@@ -143,6 +144,10 @@ def _two_state(arguments: argparse.Namespace, settings: Settings | None) -> int:
         for path in drawn:
             terminal.say(f"Picture: {path}")
     return 0
+
+
+def _on_from(done: int, progress: Callable[[float], None]) -> Callable[[float], None]:
+    return lambda share: progress(done + share)
 
 
 def _print_two_state(row: dict[str, Any], moves: int) -> None:

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import csv
 import gzip
+import io
 import math
+import os
 import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
-from typing import TextIO, cast
+from typing import BinaryIO, TextIO, cast
 
 from daemon.recording.errors import RecordingError, failed, refuse_same_file
 from daemon.recording.metadata import describe
@@ -56,16 +58,16 @@ def import_csv(
     settings_json: str,
     *,
     sensor: str = "",
-    progress: Callable[[int], None] | None = None,
+    progress: Callable[[float], None] | None = None,
 ) -> ImportReport:
     """Read the table `source` (.csv or .csv.gz) into the recording `target`, row by row.
 
     The numbers are kept as given: values as the nearest float, times exact to the nanosecond. A displacement
-    follows the inertial sample of its row. progress: told the number of rows read, now and then.
+    follows the inertial sample of its row. progress: told the share of the file that has been read, now and then.
     Raises `CsvError` or `RecordingError`; `target` is written whole or not at all.
     """
     refuse_same_file(source, target)
-    with _open_table(source) as lines:
+    with _open_table(source) as (lines, share_read):
         table = _Table(source, lines)
         with RecordingWriter(target, describe("import", settings_json, sensor=sensor)) as writer:
             for row in table.rows():
@@ -73,7 +75,7 @@ def import_csv(
                 for topic, reading in row.displacements:
                     writer.write(topic, RecordedDisplacement(reading, decoded=False))
                 if progress is not None and table.line % _PROGRESS_EVERY == 0:
-                    progress(table.line)
+                    progress(share_read())
             if table.last_ns is None:
                 raise CsvError(f"{source} holds no usable row: {_reasons(table.dropped)}")
     return table.report()
@@ -198,16 +200,18 @@ def _reasons(dropped: Counter[str]) -> str:
 
 
 @contextmanager
-def _open_table(source: Path) -> Iterator[Iterator[str]]:
-    """Lines of the table; whatever may be wrong with the file while it is read becomes a `CsvError`."""
+def _open_table(source: Path) -> Iterator[tuple[Iterator[str], Callable[[], float]]]:
+    """Lines of the table, and which share of the file has been read.
+
+    Whatever may be wrong with the file while it is read becomes a `CsvError`.
+    """
     try:
-        with cast(
-            TextIO,
-            gzip.open(source, "rt", encoding="utf-8-sig", newline="")
-            if source.suffix == ".gz"
-            else source.open(encoding="utf-8-sig", newline=""),
-        ) as stream:
-            yield _bounded_lines(source, stream)
+        with ExitStack() as stack:
+            raw = stack.enter_context(source.open("rb"))
+            size = max(os.fstat(raw.fileno()).st_size, 1)
+            plain = stack.enter_context(gzip.GzipFile(fileobj=raw)) if source.suffix == ".gz" else raw
+            stream = stack.enter_context(io.TextIOWrapper(cast(BinaryIO, plain), encoding="utf-8-sig", newline=""))
+            yield _bounded_lines(source, stream), lambda: min(raw.tell() / size, 1.0)
     except UnicodeDecodeError as error:
         raise CsvError(f"{source} is not text in UTF-8: save it as CSV in UTF-8") from error
     except csv.Error as error:

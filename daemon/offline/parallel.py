@@ -6,6 +6,7 @@ import multiprocessing
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
 from typing import TypeVar
 
 Case = TypeVar("Case")
@@ -17,9 +18,11 @@ def parallel(work: Callable[[Case], Result], cases: Sequence[Case], jobs: int) -
     if jobs == 1:
         yield from map(work, cases)
         return
-    with ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"), _end_on_interrupt) as pool:
+    with ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn")) as pool:
         try:
-            for future in as_completed([pool.submit(work, case) for case in cases]):
+            with _workers_deaf_to_interrupts():
+                futures = [pool.submit(work, case) for case in cases]
+            for future in as_completed(futures):
                 yield future.result()
         except BaseException:
             # Nobody waits for what is queued or half done.
@@ -29,6 +32,11 @@ def parallel(work: Callable[[Case], Result], cases: Sequence[Case], jobs: int) -
             raise
 
 
-def _end_on_interrupt() -> None:
-    """In a worker: Ctrl-C ends it at once, without a traceback of its own."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
+@contextmanager
+def _workers_deaf_to_interrupts() -> Iterator[None]:
+    """Processes started within it inherit that: Ctrl-C reaches them too, and it is for us to end them."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from daemon.errors import CommandError
+from daemon.offline.pictures import save_picture
 from drivers.virtual.motion import Trajectory
 from estimation.records import Displacement, Estimate, Segment
 
@@ -74,7 +75,7 @@ def plot_demo(path: Path, truth: Trajectory, settled: Sequence[Estimate], observ
         axes.grid(alpha=0.3)
         axes.legend(loc=place, fontsize=8)
     try:
-        figure.savefig(path, dpi=110)
+        save_picture(figure, path)
     except OSError as problem:
         raise PlotError(f"cannot write {path}: {problem.strerror or problem}") from problem
     finally:

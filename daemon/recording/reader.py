@@ -30,6 +30,7 @@ class Recording:
 
     complete: the file has its index, so that every MCAP tool can open it.
     counts: messages per topic that `messages` has given so far.
+    share_read: of the file's bytes, how much `messages` or `raw_messages` has gone through, 0 to 1.
     lost: messages known to be missing, by sequence numbers and by the index behind a damaged chunk; grows
         while messages are read.
     Raises `RecordingError` when the file cannot be read or is no recording of this program.
@@ -43,8 +44,10 @@ class Recording:
         self._contents = Contents()
         with self._open() as (stream, size):
             self.complete = scan.has_index(stream, size)
+        self.share_read = 0.0
         with closing(self._walk()) as walk:
             next(walk, None)  # all that describes the file stands before its first message
+        self.share_read = 0.0
         if not self._contents.is_ours:
             raise RecordingError(self._why_not_ours())
 
@@ -136,6 +139,7 @@ class Recording:
         with self._open() as (stream, size):
             try:
                 for record in scan.walk(stream, size, damage):
+                    self.share_read = record.offset / size
                     if record.opcode == scan.CHUNK:
                         try:
                             data = scan.open_chunk(record.body)
@@ -156,6 +160,7 @@ class Recording:
             except OSError as error:
                 damage.add(f"the disk cannot read on: {error.strerror or error}; unreadable", stream.tell())
         self.lost = gaps.total()
+        self.share_read = 1.0
 
     def _messages_in(self, data: bytes, offset: int, gaps: _Gaps) -> Iterator[_Located]:
         """Messages among the records `data` of a chunk at `offset`."""

@@ -22,10 +22,10 @@ class RecoveryReport:
     damage: list[str]
 
 
-def recover(source: Path, target: Path, progress: Callable[[int], None] | None = None) -> RecoveryReport:
+def recover(source: Path, target: Path, progress: Callable[[float], None] | None = None) -> RecoveryReport:
     """Write every readable message of `source` byte for byte, with its description, to a new file `target`.
 
-    Sequence numbers stay, so that gaps remain visible. progress: told the number of messages now and then.
+    Sequence numbers stay, so that gaps remain visible. progress: hears the share of the file that has been read.
     Raises `RecordingError`; `target` is written whole or not at all.
     """
     refuse_same_file(source, target)
@@ -35,5 +35,5 @@ def recover(source: Path, target: Path, progress: Callable[[int], None] | None =
         for messages, (channel, sequence, t_ns, payload) in enumerate(recording.raw_messages(), start=1):
             writer.write_raw(channel, t_ns, sequence, payload)
             if progress is not None and messages % _PROGRESS_EVERY == 0:
-                progress(messages)
+                progress(recording.share_read)
     return RecoveryReport(messages, recording.lost, recording.damage)

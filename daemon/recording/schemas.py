@@ -1,4 +1,7 @@
-"""The message layouts of a recording as ROS 2 message texts: every field with its unit."""
+"""The message layouts of a recording as ROS 2 message texts: every field with its unit.
+
+The constants of an enumeration stand right before their field: viewers then show their names instead of numbers.
+"""
 
 from __future__ import annotations
 
@@ -20,14 +23,13 @@ def _positions(kind: Iterable[Segment] | Iterable[Tier] | Iterable[CanState] | I
 
 
 _TIME = "int64 t_ns  # [ns] monotonic clock of the recording\n"
-_TIME_KIND = "uint8 time_kind  # where t_ns comes from: TIME_*\n"
-_TIME_KINDS = _constants("TIME", ((m.name, m.value) for m in TimeKind))
+_TIME_KIND = (
+    _constants("TIME", ((m.name, m.value) for m in TimeKind)) + "uint8 time_kind  # where t_ns comes from: TIME_*\n"
+)
 
 BURST = Layout(
     "ramstroke_msgs/msg/Adis16448Burst",
     "# One burst read of an ADIS16448: register words as read (data sheet Rev. E, burst read)\n"
-    + _TIME_KINDS
-    + _constants("FAULT", ((m.name, m.value) for m in Fault))
     + _TIME
     + """\
 uint16 diag_stat  # [-] DIAG_STAT bits
@@ -46,6 +48,7 @@ uint16 crc  # [-] check word that followed, meaningful when has_crc
 bool has_crc
 """
     + _TIME_KIND
+    + _constants("FAULT", ((m.name, m.value) for m in Fault))
     + "uint8 fault  # what is wrong with this burst: FAULT_*\n",
 )
 
@@ -91,7 +94,6 @@ float64 rate  # [Hz] samples a second, as asked for
 IMU_SAMPLE = Layout(
     "ramstroke_msgs/msg/ImuSample",
     "# One inertial sample in the sensor's axes; specific force, +g on the axis that points up\n"
-    + _TIME_KINDS
     + _TIME
     + """\
 float64 gyro_x  # [rad/s]
@@ -122,10 +124,10 @@ uint8[] data  # [-] payload
 DISPLACEMENT = Layout(
     "ramstroke_msgs/msg/Displacement",
     "# One reading of a displacement sensor\n"
-    + _constants("FAULT", ((m.name, m.value) for m in ReadingFault))
     + _TIME
+    + "float64 value  # [m], NaN where the frame holds none\n"
+    + _constants("FAULT", ((m.name, m.value) for m in ReadingFault))
     + """\
-float64 value  # [m], NaN where the frame holds none
 uint8 fault  # what the reading itself shows to be wrong: FAULT_*
 bool decoded  # true: derived from a frame on /can/rx of this recording; false: an input of its own
 """,
@@ -136,9 +138,6 @@ TICK = Layout("ramstroke_msgs/msg/Tick", "# Time passed although no inertial sam
 ESTIMATE = Layout(
     "ramstroke_msgs/msg/Estimate",
     "# State of the stroke at one step, with the reasons behind it\n"
-    + _positions(Segment)
-    + _positions(Tier)
-    + _positions(CanState)
     + _TIME
     + """\
 float64 displacement  # [m]
@@ -152,18 +151,18 @@ float64 step  # [m/s] velocity-step statistic
 float64 innovation  # [m] last reading minus its prediction, NaN without one
 float64 gate  # [m] largest innovation that would have been accepted, NaN without one
 uint32 move  # [-] number of the current or last move, 0 before the first
-uint8 segment  # SEGMENT_*
-uint8 tier  # TIER_*
-uint8 can_state  # what the displacement sensor is thought to be: CANSTATE_*
-""",
+"""
+    + _positions(Segment)
+    + "uint8 segment  # SEGMENT_*\n"
+    + _positions(Tier)
+    + "uint8 tier  # TIER_*\n"
+    + _positions(CanState)
+    + "uint8 can_state  # what the displacement sensor is thought to be: CANSTATE_*\n",
 )
 
 MOVE = Layout(
     "ramstroke_msgs/msg/Move",
     "# Summary of one finished move\n"
-    + _positions(MoveKind)
-    + _positions(CanState)
-    + _positions(Tier)
     + """\
 int64 onset_ns  # [ns] start of acceleration, monotonic clock of the recording
 int64 stop_ns  # [ns] start of deceleration
@@ -174,10 +173,13 @@ float64 end_before_stop  # [m] before any mechanical-stop constraint
 float64 sigma_before_stop  # [m]
 float64 velocity  # [m/s] signed mean speed of the constant-velocity segment
 uint32 number  # [-]
-uint8 kind  # MOVEKIND_*
-uint8 can_state  # CANSTATE_*
-uint8 tier  # TIER_*
-""",
+"""
+    + _positions(MoveKind)
+    + "uint8 kind  # MOVEKIND_*\n"
+    + _positions(CanState)
+    + "uint8 can_state  # CANSTATE_*\n"
+    + _positions(Tier)
+    + "uint8 tier  # TIER_*\n",
 )
 
 EVENT = Layout("ramstroke_msgs/msg/Event", "# Something that happened, in words\n" + _TIME + "string what  # [text]\n")

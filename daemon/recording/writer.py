@@ -116,14 +116,13 @@ class RecordingWriter:
     def __enter__(self) -> Self:
         try:
             self._stream = self._part.open("wb")
-        except OSError as error:
-            raise failed("write", self._path, error) from error
-        try:
             self._container = Container(self._stream, self._metadata, self._attachments)
             self._numbers = {channel: self._container.add_channel(channel) for channel in OWN_CHANNELS.values()}
-        except OSError as error:
+        except BaseException as error:
             self._discard()
-            raise failed("write", self._path, error) from error
+            if isinstance(error, OSError):
+                raise failed("write", self._path, error) from error
+            raise
         return self
 
     def write(self, topic: str, record: Recorded) -> None:
@@ -154,12 +153,14 @@ class RecordingWriter:
             os.fdatasync(self._stream.fileno())
             self._stream.close()
             self._part.replace(self._path)
-        except OSError as problem:
+        except BaseException as problem:
             self._discard()
-            raise failed("write", self._path, problem) from problem
+            if isinstance(problem, OSError):
+                raise failed("write", self._path, problem) from problem
+            raise
 
     def _discard(self) -> None:
-        with suppress(OSError):
+        with suppress(OSError, AttributeError):  # there is none if it could not be opened
             self._stream.close()
         with suppress(OSError):
             self._part.unlink()

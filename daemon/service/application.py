@@ -18,8 +18,8 @@ from daemon.imu.link import ImuLink
 from daemon.recording import topics
 from daemon.recording.metadata import Preamble, describe, program_version, wall_offset_ns
 from daemon.recording.recorder import Recorder
-from daemon.recording.topics import Health, Recorded
-from daemon.rows import estimate_row, finite, learned_row, move_row
+from daemon.recording.topics import Health, Recorded, RecordedDisplacement
+from daemon.rows import estimate_row, finite, learned_row, live_row, move_row
 from daemon.service import state_file
 from daemon.service.health import (
     HealthBook,
@@ -43,7 +43,7 @@ from drivers.can.estimate_frame import EstimateEncoder
 from drivers.can.frame import Frame
 from drivers.clock import SystemClock
 from drivers.condition import OFF
-from estimation.records import Estimate, Event, Move, Tick
+from estimation.records import Displacement, Estimate, Event, Move, Tick
 
 HEALTH_S = 1.0
 TICK_S = 0.1
@@ -51,6 +51,7 @@ SILENT_IMU_S = 0.25
 # The part is reset, tested and configured meanwhile: not silent yet, and what is known of the stroke still holds.
 START_UP_S = 10.0
 LIVE_ESTIMATE_S = 0.1
+MOVES_KEPT, EVENTS_KEPT = 50, 100  # for viewers that come later
 STOOD_STILL_S = 0.15  # later than this the loop counts as having stood still
 CATCH_UP_S = 1.0
 SAVE_STATE_S = 5.0
@@ -93,6 +94,9 @@ class Application:
         self._catch_up_until_s = 0.0
         self._publish_due_ns = 0
         self._live_due_ns = 0
+        self._observed: Displacement | None = None  # the newest valid reading
+        self._moves: deque[dict[str, Any]] = deque(maxlen=MOVES_KEPT)
+        self._events: deque[dict[str, Any]] = deque(maxlen=EVENTS_KEPT)
         self._steps = 0
         self._strokes_learned = self._stream.pipeline.strokes_learned
         self._has_learned = asyncio.Event()
@@ -268,9 +272,13 @@ class Application:
                 self._has_learned.set()
         elif isinstance(record, Event):
             _log.info("%s", record.what, extra={"fields": {"part": "estimator", "time_ns": record.t_ns}})
-            self._live.push("event", {"t_s": record.t_ns * 1e-9, "what": record.what})
+            self._events.append({"t_s": record.t_ns * 1e-9, "what": record.what})
+            self._live.push("event", self._events[-1])
         elif isinstance(record, Move):
-            self._live.push("move", move_row(record))
+            self._moves.append(finite(move_row(record)))
+            self._live.push("move", self._moves[-1])
+        elif topic == topics.OBSERVED and isinstance(record, RecordedDisplacement) and record.reading.valid:
+            self._observed = record.reading
 
     def _publish(self, estimate: Estimate) -> None:
         t_ns = estimate.t_ns
@@ -282,7 +290,7 @@ class Application:
                 self._recorder.write(topics.CAN_TX, frame)
         if t_ns >= self._live_due_ns:
             self._live_due_ns = _next_due_ns(self._live_due_ns, round(LIVE_ESTIMATE_S * 1e9), t_ns)
-            self._live.push("estimate", estimate_row(estimate))
+            self._live.push("estimate", live_row(estimate, self._observed))
 
     def _preamble(self) -> Preamble:
         identity = self._imu.identity
@@ -297,7 +305,13 @@ class Application:
         )
 
     def _hello(self) -> dict[str, Any]:
-        return {"version": program_version(), "stroke_mm": self._settings.support.stroke_mm} | self.health()
+        head = {
+            "version": program_version(),
+            "stroke_mm": self._settings.support.stroke_mm,
+            "moves": list(self._moves),
+            "events": list(self._events),
+        }
+        return head | dict(finite(self.health()))
 
     # --- health -----------------------------------------------------------------------------------------------
 

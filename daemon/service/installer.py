@@ -23,6 +23,7 @@ STATE = Path("var/lib/ramstroke")
 FILES = {
     "ramstroke.service": UNITS / "ramstroke.service",
     "ramstroke-sim.service": UNITS / "ramstroke-sim.service",
+    "ramstroke-view.service": UNITS / "ramstroke-view.service",
     "60-ramstroke.rules": Path("etc/udev/rules.d/60-ramstroke.rules"),
     "ramstroke.sysusers.conf": Path("etc/sysusers.d/ramstroke.conf"),
     "ramstroke.tmpfiles.conf": Path("etc/tmpfiles.d/ramstroke.conf"),
@@ -129,9 +130,9 @@ def configuration_in_use(host: Host) -> Path:
 
 def remove(host: Host, *, purge: bool) -> None:
     """Stop and take away the service; with `purge` configuration, recordings and learned state too."""
-    if host.has(FILES["ramstroke.service"]):
-        host.run("systemctl", "disable", "--now", "ramstroke.service")
-        host.run("systemctl", "stop", "ramstroke-sim.service")
+    units = [name for name, path in FILES.items() if path.parent == UNITS and host.has(path)]
+    if units:
+        host.run("systemctl", "disable", "--now", *units)
     for path in (*FILES.values(), REALTIME, TRIAL, COMMAND):
         host.delete(path)
     for folder in (DROP_INS, FILES["ramstroke.sysusers.conf"].parent):

@@ -1,6 +1,7 @@
 """The Unix socket that viewers read: one JSON object a line, pushed; nothing is read from a viewer.
 
-A viewer gets `hello`, then `status` once a second, `estimate` ten times a second, and every `move` and `event`.
+A viewer gets `hello` with the last moves and events, then `status` once a second, `estimate` ten times a second, and
+every `move` and `event`: docs/live.md.
 One that reads too slowly loses its oldest lines, is told how many, and disturbs nobody else.
 """
 

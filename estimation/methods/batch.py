@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
@@ -79,8 +80,8 @@ class Collector:
     support: SupportSettings = field(default_factory=SupportSettings)
     two_state: TwoStateSettings = field(default_factory=TwoStateSettings)
     start_m: float = 0.0
-    _t_ns: list[int] = field(default_factory=list)
-    _values: list[tuple[float, ...]] = field(default_factory=list)
+    _t_ns: array[int] = field(default_factory=lambda: array("q"))
+    _values: array[float] = field(default_factory=lambda: array("d"))  # six a sample
     _readings: list[Displacement] = field(default_factory=list)
 
     def add(self, record: Record) -> None:
@@ -88,7 +89,7 @@ class Collector:
         if isinstance(record, ImuSample):
             if not self._t_ns or record.t_ns > self._t_ns[-1]:
                 self._t_ns.append(record.t_ns)
-                self._values.append((*record.accel, *record.gyro))
+                self._values.extend((*record.accel, *record.gyro))
         elif isinstance(record, Displacement) and record.valid and not record.is_reference:
             self._readings.append(record)
 
@@ -98,7 +99,7 @@ class Collector:
             raise ValueError(f"{len(self._t_ns)} inertial samples are too few: a batch method wants {SAMPLES_WANTED}")
         first_ns = self._t_ns[0]
         turn = np.array([Mount(self.mount).to_support(unit) for unit in ((1.0, 0, 0), (0, 1.0, 0), (0, 0, 1.0))])
-        values = np.array(self._values)
+        values = np.array(self._values).reshape(-1, 6)
         whole = Batch(
             first_ns,
             (np.array(self._t_ns) - first_ns) * 1e-9,

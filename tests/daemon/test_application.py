@@ -19,7 +19,7 @@ from daemon.cli import main
 from daemon.offline.replaying.replay import replay
 from daemon.recording import topics
 from daemon.recording.reader import Recording
-from daemon.recording.topics import Health, LogLine, Recorded
+from daemon.recording.topics import Health, LogLine, Recorded, RecordedDisplacement
 from daemon.service import application, state_file, watchdog
 from daemon.service.application import Application
 from daemon.service.live_client import first_line
@@ -30,7 +30,7 @@ from drivers.can.estimate_frame import decode_estimate
 from drivers.can.frame import Frame
 from drivers.can.interface import to_frame
 from drivers.virtual.can_network import NetworkBus
-from estimation.records import Segment, TimeKind
+from estimation.records import CanState, Event, Move, MoveKind, Segment, Tier, TimeKind
 from tests.daemon.application_kit import PATIENCE_S, Viewer, forever, run, settings_in
 
 WORKING = ("ok", "ill")
@@ -51,6 +51,36 @@ def recorded(settings: Settings) -> tuple[Path, dict[str, list[Recorded]]]:
 
 def frames_of(records: list[Recorded]) -> list[Frame]:
     return [record for record in records if isinstance(record, Frame)]
+
+
+def test_a_viewer_that_comes_late_learns_the_last_moves_and_events_and_status_stays_short(
+    short_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    settings = settings_in(short_path)
+    running = Application(settings)
+    kept = application.MOVES_KEPT, application.EVENTS_KEPT
+    for number in range(200):
+        t_ns = number * 1_000_000_000
+        running._receive(topics.EVENTS, Event(t_ns, f"event {number}"))
+        end_m = float("nan") if number == 199 else number * 1e-3
+        numbers = (0.0, end_m, 0.001, end_m, 0.002, 0.0146)
+        running._receive(topics.MOVES, Move(number, MoveKind.PUSH, t_ns, t_ns, *numbers, CanState.OK, Tier.SETTLED))
+    greetings: list[dict[str, Any]] = []
+
+    async def scene() -> None:
+        while not settings.service.socket.exists():
+            await asyncio.sleep(0.01)
+        greetings.append(await asyncio.to_thread(first_line, settings.service.socket))
+        config = short_path / "c.toml"
+        config.write_text(f'[service]\nsocket = "{settings.service.socket}"\n')
+        assert await asyncio.to_thread(main, ["status", "--json", "--config", str(config)]) == 0
+
+    run(running, scene)
+    moves, events = greetings[0]["moves"], greetings[0]["events"]
+    assert (len(moves), len(events)) == kept
+    assert [row["what"] for row in events] == [f"event {number}" for number in range(100, 200)]
+    assert [row["end_mm"] for row in moves] == [*(pytest.approx(number) for number in range(150, 199)), None]
+    assert json.loads(capsys.readouterr().out).keys() == greetings[0].keys() - {"moves", "events"}
 
 
 @pytest.fixture
@@ -99,6 +129,7 @@ def test_a_run_measures_records_publishes_and_tells(
     assert greeting["type"] == "hello"
     assert greeting.keys() >= {"version", "stroke_mm", "t_s", "imu", "can", "recorder", "live", "estimate", "learned"}
     assert greeting["learned"] is None
+    assert (greeting["moves"], greeting["events"]) == ([], [])
     # A computer that is busy with other tests may miss samples.
     assert (greeting["imu"]["state"] in WORKING, greeting["can"]["state"]) == (True, "ok")
     assert greeting["imu"]["starts"] == 1
@@ -117,6 +148,10 @@ def test_a_run_measures_records_publishes_and_tells(
     assert (greeting["estimate"]["segment"], greeting["estimate"]["can_state"]) == ("ZUPT", "ok")
     assert len(viewer.of("status")) >= 3
     assert len(viewer.of("estimate")) > 5 * len(viewer.of("status"))
+    row = viewer.of("estimate")[-1]
+    assert row["chart_lower_m_s2"] < row["chart_upper_m_s2"]
+    assert 0 <= row["t_s"] - row["observed_s"] < 1
+    assert abs(row["observed_mm"]) < 30
     for word in ("stroke", "mm (1σ)", "imu", "displacement", "recorder", "ok", "viewers", "nothing learned yet"):
         assert word in printed[0]
 
@@ -129,6 +164,10 @@ def test_a_run_measures_records_publishes_and_tells(
     assert any(isinstance(r, LogLine) and r.text.endswith(" runs") for r in messages[topics.LOG])
     assert topics.TICK not in messages  # the part was never silent, not even while it started
     assert topics.EVENTS not in messages
+    last_row = {round(row["observed_s"], 6): row["observed_mm"] for row in viewer.of("estimate")}
+    readings = [r.reading for r in messages[topics.OBSERVED] if isinstance(r, RecordedDisplacement)]
+    recorded_mm = {round(r.t_ns * 1e-9, 6): round(r.value_m * 1e3, 3) for r in readings}
+    assert last_row.items() <= recorded_mm.items()  # what viewers see is what came
 
     # CAN
     sent = frames_of(messages[topics.CAN_TX])

@@ -166,10 +166,16 @@ def test_unusable_optional_values_are_counted_and_the_row_is_kept(tmp_path: Path
 
 
 def test_progress_is_told_and_the_table_is_not_held_in_memory(tmp_path: Path) -> None:
-    source = write_table(tmp_path, *(f"{number}{MOTION}" for number in range(20_500)))
-    told: list[int] = []
-    assert import_csv(source, tmp_path / "out.mcap", "{}", progress=told.append).rows == 20_500
-    assert told == [10_000, 20_000]
+    rows = [f"{number}{MOTION}" for number in range(40_500)]
+    for name in ("table.csv", "table.csv.gz"):
+        source = write_table(tmp_path, *rows)
+        if name.endswith(".gz"):
+            packed = tmp_path / name
+            packed.write_bytes(gzip.compress(source.read_bytes()))
+            source = packed
+        told: list[float] = []
+        assert import_csv(source, tmp_path / "out.mcap", "{}", progress=told.append).rows == 40_500
+        assert told == pytest.approx([0.25, 0.5, 0.75, 1.0], abs=0.1)
 
 
 BROKEN: dict[str, tuple[bytes, str]] = {

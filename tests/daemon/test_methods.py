@@ -52,8 +52,7 @@ def test_replay_by_the_clock_gives_nominal_speed_times_the_time_that_we_found(
 def test_review_compares_another_method_with_the_reference_and_smooths_nothing(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    table = tmp_path / "steps.csv"
-    answer = told(capsys, "review", str(RECORDING), "--method", "mskf-corrected", "--csv", str(table))
+    answer = told(capsys, "review", str(RECORDING), "--method", "mskf-corrected", "--csv", str(tmp_path))
     errors, moves = answer["reference"], answer["moves"]
     assert isinstance(errors, dict)
     assert isinstance(moves, list)
@@ -61,7 +60,7 @@ def test_review_compares_another_method_with_the_reference_and_smooths_nothing(
     assert 0.0 < errors["rms_mm"] < 50.0
     assert answer["reference_smoothed"] is None
     assert [move["smoothed"] for move in moves] == [None] * 3
-    assert "smoothed_displacement_mm" not in table.read_text().splitlines()[0]
+    assert "smoothed_displacement_mm" not in (tmp_path / "steps.csv").read_text().splitlines()[0]
     assert main(["review", str(RECORDING), "--method", "kf3"]) == 0
     printed = capsys.readouterr().out
     assert "against the reference" in printed

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 import struct
 import zlib
 from dataclasses import replace
@@ -471,12 +472,33 @@ def test_recover_does_not_write_over_its_source(
 
 def test_recover_tells_its_progress(tmp_path: Path) -> None:
     path = tmp_path / "long.mcap"
+    dice = random.Random(1)
     with RecordingWriter(path, METADATA) as writer:
-        for number in range(20_001):
-            writer.write(topics.TICK, Tick(number))
-    told: list[int] = []
-    assert recover(path, tmp_path / "out.mcap", told.append).messages == 20_001
-    assert told == [10_000, 20_000]
+        for _ in range(40_001):
+            writer.write(topics.TICK, Tick(dice.getrandbits(62)))
+    told: list[float] = []
+    assert recover(path, tmp_path / "out.mcap", told.append).messages == 40_001
+    assert told == pytest.approx([0.25, 0.5, 0.75, 1.0], abs=0.06)
+
+
+def test_a_recording_tells_which_share_of_it_was_read(tmp_path: Path) -> None:
+    path = tmp_path / "long.mcap"
+    dice = random.Random(1)
+    with RecordingWriter(path, METADATA) as writer:
+        for _ in range(40_000):
+            writer.write(topics.TICK, Tick(dice.getrandbits(62)))
+    recording = Recording(path)
+    for _ in range(2):  # each reading from the beginning
+        shares = [recording.share_read for _ in recording.messages()]
+        assert shares == sorted(shares)
+        assert shares[::10_000] == pytest.approx([0.0, 0.25, 0.5, 0.75], abs=0.06)
+        assert recording.share_read == 1.0
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    cut = Recording(path)
+    assert cut.share_read == 0.0
+    for _ in cut.raw_messages():
+        assert 0.0 <= cut.share_read <= 1.0
+    assert cut.share_read == 1.0
 
 
 def interrupted(path: Path, error: BaseException) -> None:

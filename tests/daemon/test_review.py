@@ -17,7 +17,6 @@ from daemon.offline.replaying.replay import replay
 from daemon.recording import topics
 from daemon.recording.reader import Recording
 from daemon.recording.topics import RecordedDisplacement
-from daemon.stream import Stream
 from estimation.settings import MountSettings
 from tests.estimation.support import SHORT, Run, run_of
 
@@ -84,10 +83,10 @@ def test_review_of_a_cut_file_says_so_and_of_a_missing_one_too(
 def test_the_table_has_settled_and_smoothed_values_side_by_side_and_the_figures_follow_from_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    both, settled = tmp_path / "both.csv", tmp_path / "settled.csv"
-    told = reviewed(capsys, PARTIAL, "--csv", str(both))
+    settled = tmp_path / "settled.csv"
+    told = reviewed(capsys, PARTIAL, "--csv", str(tmp_path / "both"))
     assert main(["replay", str(PARTIAL), "--csv", str(settled)]) == 0
-    columns, plain = table_of(both), table_of(settled)
+    columns, plain = table_of(tmp_path / "both" / "steps.csv"), table_of(settled)
     assert {name: columns[name] for name in plain} == plain
     t_s, p, sigma, smoothed, smoothed_sigma = (
         np.array(columns[name], dtype=float)
@@ -120,7 +119,7 @@ def test_the_table_has_settled_and_smoothed_values_side_by_side_and_the_figures_
 def test_errors_against_the_reference_are_those_of_the_table(
     field: str, column: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    told = reviewed(capsys, PARTIAL, "--csv", str(tmp_path / "steps.csv"))
+    told = reviewed(capsys, PARTIAL, "--csv", str(tmp_path))
     columns = {
         name: np.array(column, dtype=float)
         for name, column in table_of(tmp_path / "steps.csv").items()
@@ -160,7 +159,7 @@ def test_without_moves_and_reference_there_is_nothing_smoothed_to_tell(
     table.write_text("\n".join([header, *rows]) + "\n")
     assert main(["import", str(table), "-o", str(imported)]) == 0
     capsys.readouterr()
-    told = reviewed(capsys, imported, "--csv", str(tmp_path / "steps.csv"))
+    told = reviewed(capsys, imported, "--csv", str(tmp_path))
     assert (told["moves"], told["reference"], told["reference_smoothed"]) == ([], None, None)
     columns = table_of(tmp_path / "steps.csv")
     assert len(columns["t_s"]) == 1000 // 8
@@ -169,25 +168,6 @@ def test_without_moves_and_reference_there_is_nothing_smoothed_to_tell(
     said = capsys.readouterr().out
     assert "no reference sensor in it" in said
     assert "smoothed" not in said
-
-
-def test_the_recording_is_never_overwritten_and_a_table_is_whole_or_not_there(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    own = tmp_path / "own.mcap"
-    own.write_bytes(SILENT.read_bytes())
-    assert main(["review", str(own), "--csv", str(own)]) == 1
-    assert "name another file for the result" in capsys.readouterr().err
-    assert own.read_bytes() == SILENT.read_bytes()
-    assert main(["review", str(own), "--csv", str(tmp_path / "none" / "x.csv")]) == 1
-    assert "cannot write" in capsys.readouterr().err
-
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(Stream, "finish", interrupt)
-    assert main(["review", str(own), "--csv", str(tmp_path / "x.csv")]) == 130
-    assert list(tmp_path.iterdir()) == [own]
 
 
 def test_smoothing_leaves_the_replay_as_it_is() -> None:

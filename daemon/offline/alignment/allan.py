@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from array import array
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from math import degrees, nan
 from pathlib import Path
@@ -12,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.offline.replaying.replay import replay
+from daemon.offline.replaying.replay import Progress, replay
 from daemon.recording.errors import RecordingError
 from daemon.recording.topics import Recorded
 from estimation.alignment.allan import Noise, noise_of
@@ -107,7 +106,7 @@ def _worst_instability(axes: tuple[Axis, ...]) -> float:
     return max(axis.noise.instability.value for axis in axes if axis.noise.instability is not None and not axis.hidden)
 
 
-def allan(path: Path, progress: Callable[[int], None] | None = None, least_s: float = LEAST_S) -> Allan:
+def allan(path: Path, progress: Progress | None = None, least_s: float = LEAST_S) -> Allan:
     """Noise of the sensor in the longest rest of a recording.
 
     A rest is what lies between moves, handling, gaps and changes of the sensor. One that shakes is a rest too: its
@@ -115,7 +114,7 @@ def allan(path: Path, progress: Callable[[int], None] | None = None, least_s: fl
 
     Args:
         path: the recording, of any kind.
-        progress: called now and then with the number of messages read.
+        progress: called now and then with the share of the file that has been read.
         least_s: shorter rests are refused.
 
     Raises:

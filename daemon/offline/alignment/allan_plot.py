@@ -9,6 +9,7 @@ import numpy as np
 
 from daemon.offline.alignment.allan import Allan, Axis
 from daemon.offline.alignment.allan_report import ACCEL, GYRO, Units
+from daemon.offline.pictures import save_picture
 from daemon.offline.plots import BLUE, GREEN, VERMILION, PlotError
 
 if TYPE_CHECKING:
@@ -45,7 +46,7 @@ def plot_allan(path: Path, found: Allan) -> None:
         one.grid(alpha=0.3, which="both", linewidth=0.4)
         one.legend(fontsize=8)
     try:
-        figure.savefig(path, dpi=110)
+        save_picture(figure, path)
     except (OSError, ValueError) as problem:
         raise PlotError(f"cannot write {path}: {getattr(problem, 'strerror', None) or problem}") from problem
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from daemon.offline.alignment.tuning import AS_PRINTED, AXES, PRINTED_NAME, Tuned
+from daemon.offline.pictures import save_picture
 from daemon.offline.plots import BLUE, GREEN, GREY, ORANGE, VERMILION
 from estimation.alignment.attitude import to_angles
 from estimation.alignment.candidates import Records
@@ -122,5 +123,5 @@ def save(figure: Figure, axes: list[list[Axes]], path: Path) -> Path:
     for one in axes[-1]:
         one.set_xlabel("time [s]")
     figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=8)
-    figure.savefig(path, dpi=110)
+    save_picture(figure, path)
     return path

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from math import inf
 from pathlib import Path
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 
 from daemon.imu.roles import Role
 from daemon.inertial import SampleDecoder
-from daemon.offline.replaying.replay import replay, settings_of
+from daemon.offline.replaying.replay import Progress, replay, settings_of
 from daemon.recording import topics
 from daemon.recording.errors import RecordingError
 from daemon.recording.reader import Recording
@@ -58,9 +57,7 @@ class Rest:
         return int((~self.quiet).sum())
 
 
-def rests_at_beginning(
-    path: Path, duration_s: float = inf, progress: Callable[[int], None] | None = None
-) -> dict[Role, Rest]:
+def rests_at_beginning(path: Path, duration_s: float = inf, progress: Progress | None = None) -> dict[Role, Rest]:
     """The rest at the beginning of a recording, up to its first move, of the sensor and of one beside it.
 
     Raises RecordingError: there is too little rest, or none. A sensor beside with too little of it is left out.

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from daemon.offline.evaluation.methods import Played, play
+from daemon.offline.pictures import save_picture
 from daemon.offline.plots import BLUE, GREEN, GREY, ORANGE, VERMILION
 from estimation.arrays import FloatArray
 from estimation.methods.batch import Course
@@ -55,7 +56,7 @@ def draw_figures(scenario: str, seed: int, folder: Path) -> list[Path]:
             if one.get_legend_handles_labels()[0]:
                 one.legend(fontsize=7)
         drawn.append(folder / f"{scenario}-{name}.png")
-        figure.savefig(drawn[-1], dpi=110)
+        save_picture(figure, drawn[-1])
     return drawn
 
 

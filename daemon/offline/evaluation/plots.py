@@ -11,6 +11,7 @@ import numpy as np
 
 from daemon.offline.evaluation.score import SIGMAS_95, MoveScore, SeedResult
 from daemon.offline.evaluation.summary import row_names
+from daemon.offline.pictures import save_picture
 from daemon.offline.plots import BLUE, GREY, ORANGE, PlotError
 
 if TYPE_CHECKING:
@@ -53,7 +54,7 @@ def plot_evaluation(results: list[SeedResult], folder: Path) -> Path:
         _draw_honesty(axes[1], name, told)
         _draw_times(axes[2], name, told)
     path = folder / f"{scenario}.png"
-    figure.savefig(path, dpi=110)
+    save_picture(figure, path)
     return path
 
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from daemon.offline.replaying.methods import replay_method
-from daemon.offline.replaying.replay import ReplayResult, replay, stream_at_start
+from daemon.offline.replaying.replay import Progress, ReplayResult, replay, stream_at_start
 from daemon.offline.replaying.step_table import COLUMNS, cells, step_table
 from daemon.recording import topics
 from daemon.recording.errors import refuse_same_file
@@ -32,7 +32,7 @@ def replay_to(
     state: Path | None = None,
     end_state: Path | None = None,
     method: str = OURS,
-    progress: Callable[[int], None] | None = None,
+    progress: Progress | None = None,
 ) -> ReplayResult:
     """Replay `source` and write what was asked for, each file whole or not at all.
 

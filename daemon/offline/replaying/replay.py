@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 from daemon.machine import machine_of
 from daemon.recording import topics
@@ -23,6 +24,9 @@ from estimation.learned import Learned, prior_of
 from estimation.pipeline import Start
 from estimation.records import Estimate, Move, Record
 from estimation.smoothing.settled_smoother import SettledSmoother, SmoothedStep
+
+# Hears a share, 0 to 1. (Any: who counts whole things will do.)
+Progress = Callable[[Any], None]
 
 _COMPARED = (topics.PROVISIONAL, topics.SETTLED)
 
@@ -90,7 +94,7 @@ def replay(
     path: Path,
     settings: Settings | None = None,
     sink: Sink | None = None,
-    progress: Callable[[int], None] | None = None,
+    progress: Progress | None = None,
     smoothed: Callable[[SmoothedStep], None] | None = None,
     state: Path | None = None,
     tap: Callable[[Record], object] | None = None,
@@ -101,7 +105,7 @@ def replay(
         path: the recording.
         settings: instead of the file's own; then nothing else that the file says of its start is used either.
         sink: gets every input and output.
-        progress: called now and then with the number of messages read.
+        progress: called now and then with the share of the file that has been read.
         smoothed: gets every settled step with what all that follows says of it, minutes behind `sink`.
         state: start from this state file, as the daemon would; then the recorded estimates are not compared.
         tap: gets every record that the estimator gets.
@@ -144,7 +148,7 @@ def replay(
         last_ns = TOPICS[topic].time_ns(record)
         first_ns = last_ns if first_ns is None else first_ns
         if progress is not None and count % 5000 == 0:
-            progress(count)
+            progress(recording.share_read)
     if stream.foreign_samples and not stream.samples + stream.bad_bursts:
         wanted = "a JY901" if stream.settings.jy901.use == "instead" else "an ADIS16448"
         raise RecordingError(

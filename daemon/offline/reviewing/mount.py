@@ -95,10 +95,10 @@ class MountReview:
         return said
 
 
-def review_mount(path: Path, progress: Callable[[int], None] | None = None) -> MountReview:
+def review_mount(path: Path, progress: Callable[[float], None] | None = None) -> MountReview:
     """Read one recording. Raises RecordingError.
 
-    progress: called now and then with the number of messages read.
+    progress: called now and then with the share of the file that has been read.
     """
     recording = Recording(path)
     settings = settings_of(recording)
@@ -117,7 +117,7 @@ def review_mount(path: Path, progress: Callable[[int], None] | None = None) -> M
                 calibration.feed(SensorChange(record.t_ns))
             part = record
         if progress is not None and count % 5000 == 0:
-            progress(count)
+            progress(recording.share_read)
     return MountReview(calibration.estimate(), settings.mount)
 
 

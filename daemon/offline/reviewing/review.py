@@ -5,19 +5,18 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass, field
 from math import nan
 from pathlib import Path
 from typing import Any
 
 from daemon.inertial import SampleDecoder
-from daemon.offline.replaying.methods import replay_method
-from daemon.offline.replaying.replay import ReplayResult, replay
-from daemon.offline.replaying.step_table import COLUMNS, SMOOTHED_COLUMNS, cells, smoothed_cells, step_table
+from daemon.offline.progress import shares
+from daemon.offline.replaying.methods import BatchReplay, replay_method
+from daemon.offline.replaying.replay import ReplayResult, replay, settings_of
+from daemon.offline.reviewing.onlooker import Onlooker
 from daemon.offline.reviewing.reference_errors import ReferenceComparison
 from daemon.offline.reviewing.smoothed_moves import SmoothedMoves
-from daemon.recording.errors import refuse_same_file
 from daemon.recording.reader import Recording
 from daemon.recording.topics import TOPICS, Health, Recorded, RecordedDisplacement
 from daemon.stream import Sink
@@ -59,6 +58,7 @@ class Review:
     identity: str = ""  # of the first part that spoke
     reference: ReferenceComparison = field(default_factory=ReferenceComparison)
     smoothed_moves: SmoothedMoves = field(default_factory=SmoothedMoves)
+    refused: dict[str, str] = field(default_factory=dict)  # methods that cannot be used on it, and why
 
     @property
     def sensor(self) -> str:
@@ -67,50 +67,56 @@ class Review:
 
 
 GAPS_SHOWN = 20
+_REPLAYING = 0.85  # of the work; the rest is reading
 
 
 def review(
-    path: Path, progress: Callable[[int], None] | None = None, table: Path | None = None, method: str = OURS
+    path: Path,
+    progress: Callable[[float], None] | None = None,
+    onlookers: Sequence[Onlooker] = (),
+    method: str = OURS,
+    others: Sequence[str] = (),
 ) -> Review:
     """Read, replay and smooth one recording. Raises RecordingError or CanConfigError.
 
     Args:
         path: the recording.
-        progress: called now and then with the number of messages read.
-        table: gets a row for each step, settled and smoothed.
+        progress: called now and then with the share of the work that is done.
+        onlookers: see all of it.
         method: another one than ours is not smoothed.
+        others: methods beside ours; one that the recording does not suffice for is named in `refused`.
     """
     segments: Counter[Segment] = Counter()
     can_states: Counter[CanState] = Counter()
     events: list[Event] = []
     reference, smoothed_moves = ReferenceComparison(), SmoothedMoves()
+    gathered = BatchReplay(settings_of(Recording(path))) if others else None
 
-    def receive(_topic: str, record: Recorded) -> None:
+    def receive(topic: str, record: Recorded) -> None:
         if isinstance(record, Event):
             events.append(record)
         elif isinstance(record, RecordedDisplacement) and record.reading.is_reference:
             reference.add_reading(record.reading)
+        if gathered is not None:
+            gathered.see(record)
+        for onlooker in onlookers:
+            onlooker.replayed(topic, record)
 
-    with ExitStack() as stack:
-        add_row = None
-        if table is not None:
-            refuse_same_file(path, table)
-            columns, cells_of = (SMOOTHED_COLUMNS, smoothed_cells) if method == OURS else (COLUMNS, _settled_cells)
-            add_row = stack.enter_context(step_table(table, columns))
-
-        def take(step: SmoothedStep) -> None:
-            segments[step.settled.segment] += 1
-            can_states[step.settled.can_state] += 1
-            reference.add_step(step)
-            if method == OURS:
-                smoothed_moves.add(step)
-            if add_row is not None:
-                add_row(cells_of(step))
-
+    def take(step: SmoothedStep) -> None:
+        segments[step.settled.segment] += 1
+        can_states[step.settled.can_state] += 1
+        reference.add_step(step)
         if method == OURS:
-            result = replay(path, sink=receive, progress=progress, smoothed=take)
-        else:
-            result = replay_method(path, method, sink=_steps_too(receive, take), progress=progress)
+            smoothed_moves.add(step)
+        for onlooker in onlookers:
+            onlooker.step(step)
+
+    replaying, reading = shares(progress, _REPLAYING, 1.0 - _REPLAYING)
+    if method == OURS:
+        tap = None if gathered is None else gathered.take
+        result = replay(path, sink=receive, progress=replaying, smoothed=take, tap=tap)
+    else:
+        result = replay_method(path, method, sink=_steps_too(receive, take), progress=replaying)
     recording = Recording(path)
     reviewed = Review(
         recording.metadata,
@@ -122,9 +128,16 @@ def review(
         reference=reference,
         smoothed_moves=smoothed_moves,
     )
+    if gathered is not None:
+        _ask_others(reviewed, gathered, others, onlookers)
+        gathered = None  # all samples
     decoder = SampleDecoder(result.settings)
     last_ns: int | None = None
-    for topic, record in recording.messages():
+    for count, (topic, record) in enumerate(recording.messages()):
+        if reading is not None and count % 5000 == 0:
+            reading(recording.share_read)
+        for onlooker in onlookers:
+            onlooker.recorded(topic, record)
         if isinstance(record, Burst) and record.fault is not Fault.NONE:
             reviewed.faults[record.fault.name.lower()] += 1
         elif isinstance(record, Reading) and record.is_frozen:
@@ -137,13 +150,21 @@ def review(
             t_ns = TOPICS[topic].time_ns(record)
             if last_ns is not None and t_ns - last_ns > GAP_S * 1e9:
                 _note_gap(reviewed, last_ns, t_ns)
+                for onlooker in onlookers:
+                    onlooker.gap(last_ns, t_ns)
             last_ns = t_ns
     reviewed.messages, reviewed.lost = recording.counts, recording.lost
     return reviewed
 
 
-def _settled_cells(step: SmoothedStep) -> Sequence[str]:
-    return cells(step.settled)
+def _ask_others(reviewed: Review, gathered: BatchReplay, names: Sequence[str], onlookers: Sequence[Onlooker]) -> None:
+    for name in names:
+        try:
+            for output in gathered.outputs(name, reviewed.replayed.moves):
+                for onlooker in onlookers:
+                    onlooker.other(name, output)
+        except ValueError as error:
+            reviewed.refused[name] = str(error)
 
 
 def _steps_too(receive: Sink, take: Callable[[SmoothedStep], None]) -> Sink:

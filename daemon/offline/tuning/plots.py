@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from daemon.offline.pictures import save_picture
 from daemon.offline.plots import BLUE, GREEN, GREY, ORANGE, VERMILION
 from daemon.offline.tuning.benchmark import BUDGET, Row
 from estimation.arrays import FloatArray
@@ -57,7 +58,7 @@ def _save(figure: Figure, path: Path) -> Path:
         one.margins(x=0)
         if one.get_legend_handles_labels()[0]:
             one.legend(fontsize=7)
-    figure.savefig(path, dpi=110)
+    save_picture(figure, path)
     return path
 
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from daemon.offline.replaying.replay import replay, settings_of
+from daemon.offline.replaying.replay import Progress, replay, settings_of
 from daemon.recording.errors import RecordingError
 from daemon.recording.reader import Recording
 from daemon.recording.topics import Recorded, RecordedDisplacement
@@ -57,7 +57,7 @@ class References:
 
 
 def motions_of(
-    path: Path, form: Form, settings: Settings | None = None, progress: Callable[[int], None] | None = None
+    path: Path, form: Form, settings: Settings | None = None, progress: Progress | None = None
 ) -> list[Motion]:
     """Every move of a recording that has enough readings. Raises RecordingError where there is none."""
     in_use = settings or settings_of(Recording(path))

@@ -1,0 +1,1 @@
+"""Tables and pictures of a recording for other programs and for papers."""

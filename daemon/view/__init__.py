@@ -1,0 +1,1 @@
+"""The live page: a process of its own between the daemon's Unix socket and browsers."""

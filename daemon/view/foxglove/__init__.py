@@ -1,0 +1,1 @@
+"""The running daemon as a live source for Foxglove and Lichtblick."""
