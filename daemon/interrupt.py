@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import _thread
 import signal
 import sys
 import threading
@@ -40,7 +39,10 @@ class Interrupt:
             sys.__unraisablehook__(unraisable)
             return
         self._at_s = None
-        again = threading.Timer(_AGAIN_S, _thread.interrupt_main)
+        # A real signal, which also ends a sleep of the main thread.
+        main = threading.main_thread().ident
+        assert main is not None
+        again = threading.Timer(_AGAIN_S, signal.pthread_kill, (main, signal.SIGINT))
         again.daemon = True
         again.start()
 

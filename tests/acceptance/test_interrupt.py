@@ -20,7 +20,7 @@ from daemon.recording.recover import recover
 from tests.conftest import DemoRun
 
 PATIENCE_S = 60.0
-MOMENTS = 4
+MOMENTS = 3
 INTERRUPTED = 130
 READY = "ready\n"
 # The interpreter itself is up: what is interrupted from here on is ours.
