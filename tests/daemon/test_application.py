@@ -129,7 +129,9 @@ def test_a_run_measures_records_publishes_and_tells(
     assert greeting["type"] == "hello"
     assert greeting.keys() >= {"version", "stroke_mm", "t_s", "imu", "can", "recorder", "live", "estimate", "learned"}
     assert greeting["learned"] is None
-    assert (greeting["moves"], greeting["events"]) == ([], [])
+    assert greeting["moves"] == []
+    told = [{"type": "event"} | event for event in greeting["events"]]
+    assert told == viewer.of("event")[: len(told)]
     # A computer that is busy with other tests may miss samples.
     assert (greeting["imu"]["state"] in WORKING, greeting["can"]["state"]) == (True, "ok")
     assert greeting["imu"]["starts"] == 1
@@ -150,7 +152,7 @@ def test_a_run_measures_records_publishes_and_tells(
     assert len(viewer.of("estimate")) > 5 * len(viewer.of("status"))
     row = viewer.of("estimate")[-1]
     assert row["chart_lower_m_s2"] < row["chart_upper_m_s2"]
-    assert 0 <= row["t_s"] - row["observed_s"] < 1
+    assert -0.1 < row["t_s"] - row["observed_s"] < 1  # a reading may be newer than the step
     assert abs(row["observed_mm"]) < 30
     for word in ("stroke", "mm (1σ)", "imu", "displacement", "recorder", "ok", "viewers", "nothing learned yet"):
         assert word in printed[0]
