@@ -1,4 +1,4 @@
-"""Installed as a new user would, looked at by doctor, shut in, taken away, and installed again."""
+"""Installed, looked at by doctor, and shut in; `test_by_the_book.py` upgrades and removes."""
 
 from __future__ import annotations
 
@@ -103,21 +103,3 @@ def test_exposure_by_systemds_own_measure() -> None:
     said = run("systemd-analyze", "security", "--threshold=15", "ramstroke.service")
     (RESULTS / "security.txt").write_text(said)
     assert "Overall exposure level for ramstroke.service: 1." in said
-
-
-def test_removal_keeps_what_cannot_be_made_again_and_a_second_installation_takes_it_up() -> None:
-    run("systemctl", "start", "ramstroke")
-    wait_for("a recording", lambda: list((STATE / "recordings").glob("*.mcap")))
-    run("systemctl", "stop", "ramstroke")
-    recordings = sorted((STATE / "recordings").glob("*.mcap"))
-    config = CONFIG.read_text()
-    said = run(RAMSTROKE, "remove-service")
-    assert "kept /var/lib/ramstroke" in said
-    assert not UNIT.exists()
-    assert run_any("systemctl", "is-enabled", "ramstroke").strip() != "enabled"
-    assert sorted((STATE / "recordings").glob("*.mcap")) == recordings
-    assert CONFIG.read_text() == config
-    install_service()
-    run(RAMSTROKE, "install-service", "--start")
-    wait_for("samples", lambda: status().get("estimator", {}).get("samples", 0) > 20)
-    assert set(recordings) < set((STATE / "recordings").glob("*.mcap"))
