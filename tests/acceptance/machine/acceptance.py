@@ -156,7 +156,7 @@ def _tell_doctor(path: Path) -> None:
 def _report(group: str, outcome: Outcome) -> None:
     print(f"--- {group}, {outcome.duration_s:.0f} s\n{outcome.output}", flush=True)
     if outcome.code != 0:
-        how = "crashed or was too slow" if outcome.code is None else f"exit code {outcome.code}"
+        how = outcome.ending if outcome.code is None else f"exit code {outcome.code}"
         journal = "\n".join(outcome.journal.splitlines()[-_SHOWN_LINES:])
         print(f"--- {group}: {how}; end of the machine's journal:\n{journal}", flush=True)
 

@@ -43,6 +43,7 @@ class Outcome:
     output: str
     journal: str
     duration_s: float
+    ending: str = ""  # of a machine that crashed or was too slow, in words
 
 
 def run_in_machine(
@@ -90,15 +91,16 @@ def run_in_machine(
             command, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=timeout_s, check=False
         )
     except subprocess.TimeoutExpired:
-        exit_code, said = None, ""
+        exit_code, said, ending = None, "", f"too slow: not done after {timeout_s:.0f} s"
     else:
         exit_code, said = ended.returncode, ended.stderr
+        ending = f"QEMU ended with {exit_code}, below zero a signal: {said.strip() or 'nothing said'}"
     duration_s = time.monotonic() - started_s
     # isa-debug-exit makes 2 x code + 1 of the code.
     code = exit_code // 2 if exit_code is not None and exit_code % 2 else None
     if code is None and not console.exists():
         raise MachineError(f"qemu-system-x86_64 does not start: {said.strip()}")
-    return Outcome(code, _text(output), _text(journal) or _text(console), duration_s)
+    return Outcome(code, _text(output), _text(journal) or _text(console), duration_s, ending)
 
 
 def _warm(image: Path) -> None:
