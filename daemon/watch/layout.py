@@ -11,6 +11,7 @@ from rich.cells import cell_len
 from rich.text import Text
 
 from daemon.watch import big_digits
+from daemon.watch.figures import figure
 from daemon.watch.glyphs import Glyphs, in_ascii
 from daemon.watch.history import spark_rows
 from daemon.watch.scene import Part, Scene, Stroke
@@ -241,8 +242,8 @@ def _moves(scene: Scene, look: Look, width: int, room: int) -> list[Text]:
         told = [
             _clock(move.stop),
             kind + " " * max(8 - cell_len(kind), 0),
-            f"{move.start_mm:5.1f} → {move.end_mm:5.1f} ± {move.sigma_mm:.1f} mm",
-            f"{move.velocity_mm_s:+6.2f} mm/s",
+            f"{figure(move.start_mm, '5.1f')} → {figure(move.end_mm, '5.1f')} ± {figure(move.sigma_mm, '.1f')} mm",
+            f"{figure(move.velocity_mm_s, '+6.2f')} mm/s",
             f"{words('sensor_short')} {words.sensor(move.can_state)}",
         ]
         lines.append(Text("  ".join(told)))

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from datetime import datetime
 
 from daemon.service.live_client import Gone, Line, LiveLink
+from daemon.watch.figures import figure
 from daemon.watch.glyphs import Glyphs, in_ascii
 from daemon.watch.scene import SILENT_S, Scene
 from daemon.watch.words import Words
@@ -90,8 +91,9 @@ def _sentences(told: Line | Gone, scene: Scene, parts: dict[str, tuple[str, str]
     elif told.kind == "move" and scene.moves:
         move = scene.moves[-1]
         yield (
-            f"{words('move')}: {words(move.kind)} {move.start_mm:.1f} → {move.end_mm:.1f} ± {move.sigma_mm:.1f} mm, "
-            f"{move.velocity_mm_s:+.2f} mm/s, {words('sensor_short')} {words.sensor(move.can_state)}"
+            f"{words('move')}: {words(move.kind)} {figure(move.start_mm, '.1f')} → {figure(move.end_mm, '.1f')} "
+            f"± {figure(move.sigma_mm, '.1f')} mm, {figure(move.velocity_mm_s, '+.2f')} mm/s, "
+            f"{words('sensor_short')} {words.sensor(move.can_state)}"
         )
     elif told.kind == "dropped":
         yield words("lost", scene.lost)

@@ -20,7 +20,7 @@ from drivers.virtual.motion import PlannedMove
 from estimation.records import TimeKind
 from tests.acceptance.fault_scene import Outcome, edge_samples, play
 
-SCRIPTS = 100
+SCRIPTS = 200
 MOVES = (PlannedMove(3.0, 0.03, 0.01453), PlannedMove(5.5, 0.0, 0.03519))
 LAST_FAULT_S = 5.0  # all is over then, and the pauses between tries have 6 s more to end
 NEEDED: dict[str, dict[str, Any]] = {"jump": {"offset_mm": 25.0}, "drift": {"mm_s": -20.0}}

@@ -113,6 +113,16 @@ def test_parts_moves_and_events_are_shown_with_their_times_reasons_and_advice(co
             assert any(clock in shown for clock in clocks)
 
 
+def test_what_was_before_the_view_is_shown_and_what_is_not_known_is_a_dash(config: Path, short_path: Path) -> None:
+    now_s = time.monotonic()
+    move = {"kind": "push", "onset_s": now_s - 20, "stop_s": now_s - 5, "start_mm": None, "end_mm": 499.5}
+    move |= {"sigma_mm": 0.6, "velocity_mm_s": 14.53, "can_state": "ok", "tier": "settled"}
+    greeting = hello() | {"moves": [move], "events": [{"t_s": now_s - 5, "what": "stop confirmed (push)"}]}
+    with FakeDaemon(short_path / "s", encoded(greeting)), AtTerminal(command(config)) as terminal:
+        shown = terminal.shows("stop confirmed (push)", "– → 499.5 ± 0.6 mm", "+14.53 mm/s")
+        assert "nan" not in shown
+
+
 def test_big_digits_are_shown_and_no_two_look_alike(config: Path, short_path: Path) -> None:
     with FakeDaemon(short_path / "s"), AtTerminal(command(config)) as terminal:
         rows = big_digits.big("347.2", "█")

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from daemon.errors import CommandError, UsageError
-from daemon.service.live_client import ForbiddenError, Gone, LiveLink
+from daemon.service.live_client import Gone, LiveLink
 from daemon.view.foxglove.channels import LOG_TOPIC, SCHEMAS, TOPICS
 
 if TYPE_CHECKING:
@@ -109,6 +109,3 @@ class _Publisher:
     def close(self) -> None:
         """Hang up on everybody."""
         self._server.stop()
-
-
-__all__ = ["PORT", "ForbiddenError", "refuse_beyond_loopback", "serve"]
