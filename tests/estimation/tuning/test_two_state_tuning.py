@@ -55,21 +55,23 @@ def test_default_finds_the_true_optimum_in_few_evaluations(name: str) -> None:
 
 
 def test_default_is_faster_than_others_at_no_worse_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    """On one cost function, in one run; process time, so that neighbours do not count."""
+    """On one cost function, in one run; the median of the thread's own time, so that neighbours do not count."""
     monkeypatch.setattr(compiled, "wanted", lambda _: False)  # for all alike
-    spent = dict.fromkeys(("auto", "de", "cma"), 0.0)
+    spent: dict[str, list[float]] = {"auto": [], "de": [], "cma": []}
     for method in spent:
         tuned("AS-1", 99, method=method)  # what is imported on use is no cost of a tuner
-    for seed in range(4):
-        worst = {}
-        for method in spent:
-            begun = time.process_time()
-            one = tuned("AS-1", seed, method=method)
-            spent[method] += time.process_time() - begun
-            worst[method] = excess("AS-1", seed, one)
+    for seed in range(5):
+        found = {}
+        for method, seconds in spent.items():
+            begun = time.thread_time()
+            found[method] = tuned("AS-1", seed, method=method)
+            seconds.append(time.thread_time() - begun)
+        worst = {method: excess("AS-1", seed, one) for method, one in found.items()}
         assert worst["auto"] <= max(worst["de"], worst["cma"], 1e-9)
-    assert spent["auto"] <= 0.2 * spent["de"]
-    assert spent["auto"] <= 0.1 * spent["cma"]
+        assert found["auto"].evaluations <= 0.4 * min(found["de"].evaluations, found["cma"].evaluations)
+    median = {method: float(np.median(seconds)) for method, seconds in spent.items()}
+    assert median["auto"] <= 0.2 * median["de"]
+    assert median["auto"] <= 0.1 * median["cma"]
 
 
 @settings(max_examples=20, deadline=None, derandomize=True)
@@ -186,13 +188,13 @@ def test_two_thousand_candidates_at_once_beat_one_after_the_other(monkeypatch: p
     monkeypatch.setattr(compiled, "wanted", lambda _: False)  # numpy alone
     motion = observed(ARTIFICIAL["AS-1"], 0)
     ratios = 10.0 ** np.linspace(-3, 3, 2000)
-    begun = time.process_time()
+    begun = time.thread_time()
     exact(motion, ratios)
-    together = time.process_time() - begun
-    begun = time.process_time()
+    together = time.thread_time() - begun
+    begun = time.thread_time()
     for ratio in ratios[:40]:
         exact(motion, np.array([ratio]))
-    alone = (time.process_time() - begun) * 50
+    alone = (time.thread_time() - begun) * 50
     assert together < 0.2 * alone
 
 
