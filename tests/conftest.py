@@ -24,6 +24,12 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--rebase", action="store_true", help="store what the regression recordings give now")
 
 
+def pytest_collection_finish() -> None:
+    """Thousands of collected tests stay to the end: the collector of garbage need not look at them again and again."""
+    gc.collect()
+    gc.freeze()
+
+
 @dataclass(frozen=True)
 class DemoRun:
     """One run of `ramstroke demo --seed 1 --json`."""
@@ -62,6 +68,8 @@ def unsettled_process() -> Iterator[None]:
     logging.getLogger().setLevel(logging.INFO)
     yield
     gc.unfreeze()
+    gc.collect()
+    gc.freeze()
     gc.set_threshold(*threshold)
     sys.setswitchinterval(interval)
     logging.getLogger().setLevel(level)

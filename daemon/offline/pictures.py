@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from daemon.offline.whole_file import replaced
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -14,9 +15,5 @@ DOTS_PER_INCH = 110
 
 def save_picture(figure: Figure, path: Path) -> None:
     """Raises OSError, and ValueError for a format that nobody knows."""
-    part = path.with_name(f".{path.stem}.part-{os.getpid()}{path.suffix}")  # the suffix is the format
-    try:
+    with replaced(path) as part:
         figure.savefig(part, dpi=DOTS_PER_INCH)
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)

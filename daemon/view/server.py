@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from daemon.service.health import UNDETERMINED_SHARE
+from daemon.service.live_client import SILENT_S, Line
 from daemon.view import recordings
 from daemon.view.browsers import Browsers, message
 from daemon.view.guard import REPORT_POLICY, Guard
-from daemon.view.link import SILENT_S, DaemonLink, LinkState
+from daemon.view.link import DaemonLink, LinkState
 from daemon.view.memory import Memory
 from daemon.view.reports import Command, Reports, TooManyError, review_command
 
@@ -84,9 +85,9 @@ class ViewServer:
 
     # --- from the daemon --------------------------------------------------------------------------------------
 
-    def _take_line(self, text: str, line: dict[str, Any]) -> None:
-        self.memory.take(line)
-        self.browsers.push(self._snapshot() if line["type"] == "hello" else text)
+    def _take_line(self, line: Line) -> None:
+        self.memory.take(line.content)
+        self.browsers.push(self._snapshot() if line.kind == "hello" else line.raw.decode().rstrip("\n"))
 
     def _take_state(self, _: LinkState) -> None:
         self.browsers.push(message("link", self._link()))
@@ -106,6 +107,7 @@ class ViewServer:
             "now_s": time.monotonic(),
             "browsers": self.browsers.count,
             "dropped": self.browsers.dropped,
+            "damaged": self.link.damaged,
         }
 
     def _reports(self) -> dict[str, Any]:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import asyncio
 import signal
 import sys
+import time
 from collections.abc import Callable, Iterator
 from datetime import datetime
 
-from daemon.service.live_client import Gone, Line, LiveLink
+from daemon.service.live_client import Gone, Line, LiveLink, Silent
 from daemon.watch.figures import figure
 from daemon.watch.glyphs import Glyphs, in_ascii
-from daemon.watch.scene import SILENT_S, Scene
+from daemon.watch.scene import Scene
 from daemon.watch.words import Words
 
 
@@ -24,9 +25,9 @@ async def tell(link: LiveLink, words: Words, glyphs: Glyphs) -> None:
         line = f"{datetime.now():%H:%M:%S}  {text}"
         print(in_ascii(line) if glyphs.is_ascii else line, flush=True)
 
-    def take(told: Line | Gone | None) -> None:
-        if told is None:
-            say(words("silent_for", f"{scene.silent_s():.0f}"))
+    def take(told: Line | Silent | Gone) -> None:
+        if isinstance(told, Silent):
+            say(words("silent_for", f"{time.monotonic() - told.since_s:.0f}"))
             return
         scene.take(told)
         for text in _sentences(told, scene, parts, words):
@@ -38,32 +39,23 @@ async def tell(link: LiveLink, words: Words, glyphs: Glyphs) -> None:
 async def pass_on(link: LiveLink) -> None:
     """The daemon's lines as they are on standard output, other words on standard error. Raises as `tell`."""
 
-    def take(told: Line | Gone | None) -> None:
+    def take(told: Line | Silent | Gone) -> None:
         if isinstance(told, Line):
             sys.stdout.buffer.write(told.raw)
             sys.stdout.buffer.flush()
         else:
-            print(f"ramstroke: {told.why if told else 'connected, but silent'}", file=sys.stderr, flush=True)
+            why = told.why if isinstance(told, Gone) else "connected, but silent"
+            print(f"ramstroke: {why}", file=sys.stderr, flush=True)
 
     await _follow(link, take)
 
 
-async def _follow(link: LiveLink, take: Callable[[Line | Gone | None], None]) -> None:
-    """`take` everything, and None when a connection has been silent for too long; ends on SIGINT and SIGTERM."""
+async def _follow(link: LiveLink, take: Callable[[Line | Silent | Gone], None]) -> None:
+    """`take` everything; ends on SIGINT and SIGTERM."""
 
     async def read() -> None:
-        told = link.follow()
-        step = asyncio.ensure_future(anext(told))
-        is_connected = False
-        while True:
-            done, _ = await asyncio.wait([step], timeout=SILENT_S if is_connected else None)
-            if done:
-                heard = step.result()
-                step = asyncio.ensure_future(anext(told))
-                is_connected = isinstance(heard, Line)
-                take(heard)
-            else:
-                take(None)
+        async for told in link.follow():
+            take(told)
 
     reading = asyncio.ensure_future(read())
     for number in (signal.SIGINT, signal.SIGTERM):

@@ -9,10 +9,9 @@ from math import isfinite, nan
 from typing import Any, Literal
 
 from daemon.service.health import UNDETERMINED_SHARE
-from daemon.service.live_client import Gone, Line
+from daemon.service.live_client import SILENT_S, Gone, Line, Silent
 
 PARTS = ("imu", "jy901", "can", "displacement", "estimator", "recorder", "loop")
-SILENT_S = 3.0  # status comes every second
 HISTORY_S = 600.0
 
 LinkState = Literal["waiting", "live", "silent", "gone"]
@@ -85,8 +84,10 @@ class Scene:
     _heard_s: float | None = None  # the same by a clock that nobody sets
     _wall_minus_t: float = 0.0
 
-    def take(self, told: Line | Gone) -> None:
+    def take(self, told: Line | Silent | Gone) -> None:
         """One line, or that nobody is there."""
+        if isinstance(told, Silent):
+            return
         if isinstance(told, Gone):
             self.gone = told.why
             return

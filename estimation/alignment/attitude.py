@@ -33,10 +33,17 @@ def to_angles(c: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 def cross_matrix(v: FloatArray) -> FloatArray:
     """[v x] of vectors (..., 3): (..., 3, 3)."""
-    zero = np.zeros(v.shape[:-1])
     x, y, z = v[..., 0], v[..., 1], v[..., 2]
-    rows = ((zero, -z, y), (z, zero, -x), (-y, x, zero))
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    matrix = np.zeros((*v.shape, 3))
+    matrix[..., 0, 1], matrix[..., 0, 2], matrix[..., 1, 2] = -z, y, -x
+    matrix[..., 1, 0], matrix[..., 2, 0], matrix[..., 2, 1] = z, -y, x
+    return matrix
+
+
+def cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """a x b of vectors (..., 3); of one vector numpy's own takes four times as long."""
+    (ax, ay, az), (bx, by, bz) = ((v[..., 0], v[..., 1], v[..., 2]) for v in (a, b))
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
 
 
 def rotation(v: FloatArray) -> FloatArray:

@@ -14,7 +14,7 @@ from math import degrees, radians, tan
 
 import numpy as np
 
-from estimation.alignment.attitude import rotation
+from estimation.alignment.attitude import cross, rotation
 from estimation.alignment.earth import Place
 from estimation.arrays import FloatArray
 
@@ -34,11 +34,11 @@ class Strapdown:
     def step(self, turn: FloatArray, push: FloatArray, dt_s: float) -> None:
         """Go on by increments (..., 3) of rotation [rad] and of velocity [m/s] in body axes."""
         coned = turn
-        sculled = push + 0.5 * np.cross(turn, push)
+        sculled = push + 0.5 * cross(turn, push)
         if self._before is not None:
             turn_before, push_before = self._before
-            coned = turn + np.cross(turn_before, turn) / 12
-            sculled = sculled + (np.cross(turn_before, push) + np.cross(push_before, turn)) / 12
+            coned = turn + cross(turn_before, turn) / 12
+            sculled = sculled + (cross(turn_before, push) + cross(push_before, turn)) / 12
         self._before = turn, push
         v = self.velocity
         meridian, vertical = self.place.radii_m
@@ -49,7 +49,7 @@ class Strapdown:
         # Half of the frame's own turn belongs to the middle of the interval, where the increment was felt.
         felt = (rotation(-0.5 * (w_ie + w_en) * dt_s) @ self.attitude @ sculled[..., None])[..., 0]
         down = np.array([0.0, 0.0, -self.place.gravity_m_s2])
-        change = felt + (down - np.cross(2 * w_ie + w_en, v)) * dt_s
+        change = felt + (down - cross(2 * w_ie + w_en, v)) * dt_s
         self.attitude = rotation(-(w_ie + w_en) * dt_s) @ self.attitude @ rotation(coned)
         self.velocity = v + change
         if self.holds_height:

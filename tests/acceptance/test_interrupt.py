@@ -91,6 +91,7 @@ def whole(path: Path) -> bool:
     raise AssertionError(f"{path} was not to be written")
 
 
+SHORT = ["--scenario", "partial", "--no-can"]
 Command = Callable[[Path, Path], list[str]]
 COMMANDS: dict[str, Command] = {
     "demo": lambda out, _: ["demo", "--out", str(out / "demo")],
@@ -102,8 +103,8 @@ COMMANDS: dict[str, Command] = {
     "import": lambda out, source: ["import", str(source.with_name("table.csv")), "-o", str(out / "table.mcap")],
     "align": lambda out, source: ["align", str(source), "--latitude", "40", "--plot", str(out)],
     "tune": lambda out, source: ["tune", str(source), "--plot", str(out)],
-    "evaluate": lambda out, _: ["evaluate", "--seeds", "1:3", "--no-can", "--jobs", "2", "--json"],
-    "evaluate alone": lambda out, _: ["evaluate", "--seeds", "1:2", "--no-can", "--json", "--plot", str(out)],
+    "evaluate": lambda out, _: ["evaluate", *SHORT, "--seeds", "1:3", "--jobs", "2", "--json"],
+    "evaluate alone": lambda out, _: ["evaluate", *SHORT, "--seeds", "1:2", "--json", "--plot", str(out)],
 }
 
 

@@ -67,8 +67,8 @@ def spent() -> dict[str, float]:
 def test_whatever_goes_wrong_acquisition_outlives_it(
     script: FaultScript, spent: dict[str, float], tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    # Every tenth at the full rate; an eighth of the samples shows the same logic in an eighth of the time.
-    decimation = 0 if script.seed % 10 == 7 else 3
+    # Every twentieth at the full rate; an eighth of the samples shows the same logic in an eighth of the time.
+    decimation = 0 if script.seed % 20 == 7 else 3
     usual, usual_s = plain(decimation)
     path = tmp_path_factory.getbasetemp() / "random-faults.mcap" if script.seed % 4 == 0 else None
     if path is not None:

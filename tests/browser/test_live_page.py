@@ -140,6 +140,14 @@ def test_a_sick_part_is_told_with_word_time_reason_and_advice(
     assert len(set(shapes.values())) == 3  # told apart without colour
 
 
+def test_what_did_not_reach_the_page_is_told(open_page: OpenPage, daemon: FakeDaemon, view: RunningView) -> None:
+    page = opened(open_page, view)
+    expect(page.locator("#looking")).to_have_text("Browsers: 1 · viewers of the daemon: 1")
+    daemon.push("dropped", {"lines": 7})
+    view.server.link._link.damaged = 2
+    expect(page.locator("#looking")).to_contain_text("messages that did not reach this page: 9")
+
+
 def test_moves_and_events_of_before_and_new_ones_are_listed_newest_first(
     open_page: OpenPage, daemon: FakeDaemon, view: RunningView
 ) -> None:

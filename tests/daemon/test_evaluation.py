@@ -80,7 +80,7 @@ def test_a_warm_up_comes_before_the_judged_cycle_and_teaches(fused: SeedResult) 
 
 
 def test_cases_after_one_warm_up_have_the_results_that_each_has_alone() -> None:
-    cases = [Case("partial", 4, "fused", 1), Case("can_dead", 4, "fused", 1), Case("partial", 4, "inertial", 1)]
+    cases = [Case("partial", 4, "fused", 1), Case("can_dead", 4, "fused", 1)]
     together = evaluate(cases)
     assert [result.case for result in together] == cases
     assert repr(together) == repr([evaluate_case(case) for case in cases])  # NaN is never equal

@@ -260,15 +260,26 @@ def test_a_place_where_no_socket_can_be_is_refused_by_name(short_path: Path) -> 
         assert str(path) in str(refused.value)
 
 
-@pytest.mark.parametrize("answer", [b"", b"SSH-2.0\n", b"[]\n", b'{"type":"estimate"}\n', b"\xff\n"])
-def test_the_client_tells_a_daemon_from_something_else(answer: bytes, short_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("answer", "said"),
+    [
+        (b"", "has ended"),
+        (b"SSH-2.0\n", "is no ramstroke daemon"),
+        (b"[]\n", "is no ramstroke daemon"),
+        (b'{"type":"estimate"}\n', "is no ramstroke daemon"),
+        (b'{"type":"hello","moves":null}\n', "is no ramstroke daemon"),
+        (b'{"type":"hello","t_s":NaN}\n', "is no ramstroke daemon"),
+        (b"\xff\n", "is no ramstroke daemon"),
+    ],
+)
+def test_the_client_tells_a_daemon_from_something_else(answer: bytes, said: str, short_path: Path) -> None:
     async def run() -> None:
         async def greet(_: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
             writer.write(answer)
             writer.close()
 
         async with await asyncio.start_unix_server(greet, short_path / "s"):
-            with pytest.raises(CommandError, match="is no ramstroke daemon"):
+            with pytest.raises(CommandError, match=said):
                 await asyncio.to_thread(first_line, short_path / "s")
 
     asyncio.run(run())

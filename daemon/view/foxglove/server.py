@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from daemon.errors import CommandError, UsageError
-from daemon.service.live_client import Gone, LiveLink
+from daemon.service.live_client import Gone, LiveLink, Silent
 from daemon.view.foxglove.channels import LOG_TOPIC, SCHEMAS, TOPICS
 
 if TYPE_CHECKING:
@@ -82,15 +82,17 @@ class _Publisher:
 
     async def work(self, link: LiveLink) -> None:
         """Publish for ever. Raises ForbiddenError."""
-        is_gone = False
+        trouble = ""
         async for told in link.follow():
-            if isinstance(told, Gone):
-                is_gone = True
-                self._tell(WARNING, told.why)
-                self._server.publish_status(told.why, self._status_levels.Warning, _NO_DAEMON)
+            if isinstance(told, Gone | Silent):
+                why = told.why if isinstance(told, Gone) else "the daemon is connected, but silent"
+                if why != trouble:
+                    trouble = why
+                    self._tell(WARNING, why)
+                    self._server.publish_status(why, self._status_levels.Warning, _NO_DAEMON)
                 continue
-            if is_gone:
-                is_gone = False
+            if trouble:
+                trouble = ""
                 self._tell(INFO, "the daemon is back")
                 self._server.remove_status([_NO_DAEMON])
             topic = TOPICS.get(told.kind)

@@ -30,7 +30,9 @@ export function showLamps(model) {
     list.replaceChildren(...wanted.map((part) => lamp(model, part)));
   }
   for (const part of wanted) setText(byId(`detail-${part}`), detail(part, status[part]));
-  setText(byId("looking"), text("looking", { browsers: model.daemon?.browsers ?? 0, viewers: status.live.viewers }));
+  const looking = text("looking", { browsers: model.daemon?.browsers ?? 0, viewers: status.live.viewers });
+  const lost = model.lost;
+  setText(byId("looking"), lost ? `${looking} · ${text("lost", { count: lost })}` : looking);
 }
 
 function face(model, part) {

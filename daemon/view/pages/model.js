@@ -20,6 +20,7 @@ export class Model {
     this.serverLost = null; // since when it is not up
     this.estimateCame = -Infinity; // on the browser's monotonic clock
     this.reports = {};
+    this.dropped = { lines: 0, messages: 0 }; // on the way to the server, on the way from it
     this.undeterminedShare = 1;
   }
 
@@ -43,6 +44,7 @@ export class Model {
     else if (type === "move") keep(this.moves, content, KEPT_MOVES);
     else if (type === "event") keep(this.events, content, KEPT_EVENTS);
     else if (type === "reports") this.takeReports(content);
+    else if (type === "dropped") Object.assign(this.dropped, content);
     return type;
   }
 
@@ -83,6 +85,11 @@ export class Model {
     if (this.daemon.state === "silent") return "silent";
     if (this.estimate && performance.now() - this.estimateCame > SILENT_MS) return "estimate";
     return "fresh";
+  }
+
+  /** Messages that did not reach this page, lines that the server could not read among them. */
+  get lost() {
+    return this.dropped.lines + this.dropped.messages + (this.daemon?.damaged ?? 0);
   }
 
   get undetermined() {

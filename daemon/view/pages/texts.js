@@ -29,6 +29,7 @@ export const TEXTS = {
     told: "{name}: {word}",
     rate: "{rate} readings/s", samples: "{count} samples", moved: "{size}", lateMs: "at most {ms} ms late",
     looking: "Browsers: {browsers} · viewers of the daemon: {viewers}",
+    lost: "messages that did not reach this page: {count}",
 
     plots: "The last minute",
     pause: "Pause", resume: "Go on",
@@ -98,6 +99,7 @@ export const TEXTS = {
     told: "{name}：{word}",
     rate: "{rate} 次/s", samples: "{count} 个采样", moved: "{size}", lateMs: "最大延迟 {ms} ms",
     looking: "浏览器：{browsers} · 连接到测量程序的查看程序：{viewers}",
+    lost: "未到达本页面的消息：{count}",
 
     plots: "最近一分钟",
     pause: "暂停", resume: "继续",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import signal
 import socket
@@ -36,7 +37,15 @@ def config_in(folder: Path) -> Path:
 def started(folder: Path, *options: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """The program, and the first line that it printed."""
     command = [sys.executable, "-m", "daemon.cli", "view", "--config", str(config_in(folder)), *options]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    scratch = folder / "scratch"
+    scratch.mkdir(exist_ok=True)
+    process = subprocess.Popen(
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"TMPDIR": str(scratch)},
+    )
     try:
         assert process.stdout is not None
         yield process, process.stdout.readline()
@@ -65,10 +74,11 @@ def test_it_serves_loopback_only_and_ends_cleanly(short_path: Path, number: sign
         assert listening_on(port) == {"0100007F"}
         with urllib.request.urlopen(f"http://127.0.0.1:{port}/", timeout=10) as page:
             assert b"<main>" in page.read()
+        assert list((short_path / "scratch").iterdir())  # where its reports would be made
         process.send_signal(number)
         out, error = process.communicate(timeout=PATIENCE_S)
         assert (process.returncode, out, error) == (0, "", "")
-    assert not list(Path("/tmp").glob(f"ramstroke-view-*/{port}"))
+    assert not list((short_path / "scratch").iterdir())
 
 
 def test_beyond_loopback_an_address_with_a_token_is_printed_and_needed(short_path: Path) -> None:
