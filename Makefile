@@ -18,8 +18,9 @@ INSTALLED := $(VENV)/installed
 demo: $(INSTALLED)
 	$(BIN)/ramstroke demo --out demo
 
+# One process more than processors: many tests wait for real time.
 test: $(INSTALLED)
-	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadscope
+	$(BIN)/python -m pytest -n $$(($$(nproc) + 1)) --maxprocesses 4 --dist loadscope
 
 browser: $(INSTALLED)
 	$(BIN)/python -m pytest tests/browser

@@ -1,7 +1,8 @@
 #!/bin/sh
 # Install ramstroke on this computer from its wheel, or bring it to the wheel's version, newer or older:
-#     sudo sh install.sh [--offline] ramstroke-0.1.0-py3-none-any.whl
+#     sudo sh install.sh [--offline] [--with EXTRA,...] ramstroke-0.1.0-py3-none-any.whl
 # --offline: the packages that it needs lie in the wheel's folder, and no network is asked.
+# --with: what else it shall be able to do, such as view, the live page.
 # Into an environment of its own, /opt/ramstroke. Recordings, configuration and learned state stay as they are.
 set -eu
 PREFIX="${PREFIX:-/opt/ramstroke}"
@@ -13,12 +14,29 @@ refuse() {
 }
 
 OFFLINE=
-if [ "${1:-}" = --offline ]; then
-    OFFLINE=yes
-    shift
-fi
+EXTRAS=hardware
+while :; do
+    case "${1:-}" in
+        --offline)
+            OFFLINE=yes
+            shift
+            ;;
+        --with)
+            known=view,foxglove,offline,parquet,tuning
+            for extra in $(echo "${2:-nothing}" | tr , ' '); do
+                case ",$known," in
+                    *",$extra,"*) ;;
+                    *) refuse "--with $extra is unknown; there are $known" ;;
+                esac
+            done
+            EXTRAS="$EXTRAS,$2"
+            shift 2
+            ;;
+        *) break ;;
+    esac
+done
 WHEEL="${1:-}"
-[ $# -eq 1 ] || refuse "name one wheel, such as ramstroke-0.1.0-py3-none-any.whl, after --offline if there is no network"
+[ $# -eq 1 ] || refuse "name one wheel, such as ramstroke-0.1.0-py3-none-any.whl, after the options --offline and --with"
 [ -f "$WHEEL" ] || refuse "there is no file $WHEEL"
 case "${WHEEL##*/}" in
     ramstroke-*-*.whl) ;;
@@ -54,7 +72,7 @@ if ! ours -m pip --version >/dev/null 2>&1; then
 fi
 echo "installing ${WHEEL##*/} into $PREFIX"
 before=$(version)
-pip_install --upgrade "$WHEEL[hardware]"
+pip_install --upgrade "$WHEEL[$EXTRAS]"
 # pip leaves a wheel of the same version alone, even if another one was built.
 [ "$before" != "$(version)" ] || pip_install --no-deps --force-reinstall "$WHEEL"
 trap - EXIT INT TERM HUP

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -57,6 +59,7 @@ def refused(computer: Path, *words: str, **variables: str) -> str:
     return ended.stderr
 
 
+OF_DEVELOPERS = {"hardware", "dev", "bench"}  # the first is always installed
 WHEEL = "ramstroke-0.1.0-py3-none-any.whl"
 
 
@@ -66,13 +69,23 @@ WHEEL = "ramstroke-0.1.0-py3-none-any.whl"
         ([], "name one wheel"),
         (["--offline"], "name one wheel"),
         ([WHEEL, "another.whl"], "name one wheel"),
+        (["--with", "view"], "name one wheel"),
+        (["--with"], "--with nothing is unknown; there are view,"),
+        (["--with", "moon", WHEEL], "--with moon is unknown; there are view,"),
+        (["--offline", "--with", "view,moon", WHEEL], "--with moon is unknown; there are view,"),
+        (["--with", WHEEL], f"--with {WHEEL} is unknown"),
         (["ramstroke-0.2.0-py3-none-any.whl"], "there is no file ramstroke-0.2.0-py3-none-any.whl"),
         (["bin/python3"], "bin/python3 is not a wheel of ramstroke"),
     ],
 )
-def test_a_wheel_must_be_named(computer: Path, words: list[str], sentence: str) -> None:
+def test_a_wheel_must_be_named_and_options_be_known(computer: Path, words: list[str], sentence: str) -> None:
     assert sentence in refused(computer, *words)
     assert not (computer / "opt").exists()
+
+
+def test_options_are_the_packages_extras() -> None:
+    extras = tomllib.loads((SCRIPT.parents[1] / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    assert set(re.findall(r"known=(\S+)", SCRIPT.read_text())[0].split(",")) == extras.keys() - OF_DEVELOPERS
 
 
 def test_only_root_may(computer: Path) -> None:

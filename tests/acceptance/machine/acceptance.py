@@ -30,6 +30,7 @@ GROUPS = {
     "sensor": ("sensor_failures",),
     "main_path": ("main_path",),
     "installation": ("installation",),
+    "live_page": ("live_page",),
     "controller": ("can_controller",),
     "bus": ("bus_failures",),
 }

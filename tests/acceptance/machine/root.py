@@ -79,7 +79,7 @@ def make_environment(root: Path, wheels: Path, scratch: Path) -> None:
     """Everything in /opt/ramstroke but the program itself; its packages stay in `wheels`, as for an offline install."""
     constraints = str(CHECKOUT / "constraints.txt")
     pip = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check", "wheel", "-c", constraints]
-    run([*pip, "--wheel-dir", wheels, f"{CHECKOUT}[hardware]"], cwd=scratch)
+    run([*pip, "--wheel-dir", wheels, f"{CHECKOUT}[hardware,view]"], cwd=scratch)
     for own in wheels.glob("ramstroke-*.whl"):
         own.unlink()
     seen = root / "wheels"

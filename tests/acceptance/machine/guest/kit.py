@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -145,6 +146,28 @@ def set_fault(words: str) -> None:
     partial = FAULT.with_suffix(".partial")
     partial.write_text(words)
     partial.replace(FAULT)
+
+
+def in_the_sandbox_of(service: str) -> dict[str, str]:
+    """What a program in the place of the service's own may do: `probe.py`, run by the same unit."""
+    text = Path(f"/etc/systemd/system/{service}.service").read_text()
+    text = re.sub(r"(?m)^Type=.*$", "", text).replace("[Service]", "[Service]\nType=oneshot")
+    text = re.sub(r"(?m)^(WatchdogSec|Restart|RestartSec|RestartPreventExitStatus)=.*$", "", text)
+    shutil.copy(HERE / "probe.py", "/opt/probe.py")
+    text = re.sub(r"(?m)^ExecStart=.*$", "ExecStart=/opt/ramstroke/bin/python /opt/probe.py", text)
+    Path("/etc/systemd/system/probe.service").write_text(text)
+    Path("/tmp/somebody-elses").write_text("x")
+    run("systemctl", "daemon-reload")
+    run("systemctl", "start", "probe")
+    (said,) = (
+        line
+        for line in run("journalctl", "--unit=probe", "--output=cat", "--no-pager").splitlines()
+        if line.startswith("{")
+    )
+    RESULTS.mkdir(exist_ok=True)
+    (RESULTS / f"sandbox-{service}.json").write_text(said)
+    found: dict[str, str] = json.loads(said)
+    return found
 
 
 class Journal:

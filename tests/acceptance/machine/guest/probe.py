@@ -1,4 +1,4 @@
-"""What the service's sandbox lets a program do: run in its place, answers into its own folder."""
+"""What a service's sandbox lets a program do: run in its place, answers on standard output."""
 
 from __future__ import annotations
 
@@ -36,6 +36,8 @@ def main() -> None:
     found = {
         "own folder": answer(write("/var/lib/ramstroke/own")),
         "own run folder": answer(write("/run/ramstroke/own")),
+        "temporary folder": answer(write("/tmp/own")),
+        "recordings": answer(lambda: min(Path("/var/lib/ramstroke/recordings").glob("*.mcap")).read_bytes()),
         "numpy": answer(lambda: np.linalg.inv(np.eye(10) + 1)),
         "unix socket": answer(lambda: socket.socket(socket.AF_UNIX).close()),
         "can socket": answer(lambda: socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).bind(("vcan0",))),
@@ -59,7 +61,7 @@ def main() -> None:
         "set the clock": answer(lambda: __import__("time").clock_settime(0, 0.0)),
         "seen temporary files": str(os.listdir("/tmp")),
     }
-    Path("/var/lib/ramstroke/probe.json").write_text(json.dumps(found))
+    print(json.dumps(found))
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import time
+import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -32,6 +33,7 @@ DIST = SHARE / "dist"
 (NEXT_WHEEL,) = (SHARE / "next").glob("ramstroke-*.whl")
 VERSION, NEXT_VERSION = (wheel.name.split("-")[1] for wheel in (WHEEL, NEXT_WHEEL))
 INSTALL = f"sudo sh systemd/install.sh --offline dist/ramstroke-{VERSION}-py3-none-any.whl"
+WITH_VIEW = f"sudo sh systemd/install.sh --with view dist/ramstroke-{VERSION}-py3-none-any.whl"
 NEXT = {f"dist/{WHEEL.name}": f"next/{NEXT_WHEEL.name}"}
 PROGRAM = Path("/opt/ramstroke")
 STATE = Path("/var/lib/ramstroke/state.json")
@@ -208,14 +210,24 @@ def test_removal_leaves_what_the_document_says_and_nothing_else() -> None:
     assert properties("LoadState") == {"LoadState": "not-found"}
 
 
+def attempt_page() -> bytes:
+    try:
+        with urllib.request.urlopen("http://127.0.0.1:8448/", timeout=60) as answer:
+            return b"<main>" if b"<main>" in answer.read() else b"something else"
+    except OSError:
+        return b""
+
+
 def is_of_the_computer(path: str) -> bool:
     """The bus of section 4 and the user of section 5: what systemd and useradd made of them."""
     of_bus = path.startswith("/etc/systemd/") and ("network" in path or path.endswith(".wants"))
     return of_bus or path in ("/etc/subgid-", "/etc/subuid-")
 
 
-def test_a_second_installation_takes_up_what_was_learned() -> None:
-    documented(INSTALL)
+def test_section_11_a_second_installation_has_the_page_and_takes_up_what_was_learned() -> None:
+    documented(WITH_VIEW, {"--with": "--offline --with"})
+    documented("sudo systemctl enable --now ramstroke-view")
+    wait_for("the page", lambda: attempt_page() == b"<main>")
     documented("sudo ramstroke install-service --start")
     assert wait_for("what was learned", pushes_learned_from) == 1
 
