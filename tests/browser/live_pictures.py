@@ -1,6 +1,6 @@
-"""Pictures of the live page for the documentation, with a virtual support in mid-push.
+"""Pictures of the live views for the documentation, with a virtual support in mid-push.
 
-python -m tests.browser.live_pictures        # docs/images/live.png and live-phone.png; a minute
+python -m tests.browser.live_pictures        # docs/images/live.png, live-phone.png and watch.txt; a minute
 """
 
 from __future__ import annotations
@@ -11,16 +11,20 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 from playwright.sync_api import Error, Page, expect, sync_playwright
 
+from tests.daemon.terminal_kit import AtTerminal
 from tests.daemon.view.view_kit import free_port
 
 IMAGES = Path(__file__).parents[2] / "docs" / "images"
 PUSHED_MM = 430.0  # by then the plots are full
 PATIENCE_S = 180.0
 SIZES = {"live.png": (1366, 768), "live-phone.png": (390, 844)}
+TERMINAL = (100, 30)  # columns, lines
+PROGRAM = (sys.executable, "-m", "daemon.cli")
 
 
 def shoot(folder: Path) -> list[Path]:
@@ -30,9 +34,13 @@ def shoot(folder: Path) -> list[Path]:
         config, port = _config(Path(name)), free_port()
         try:
             for command in (["run"], ["view", "--port", str(port)]):
-                arguments = [sys.executable, "-m", "daemon.cli", command[0], "--config", str(config), *command[1:]]
+                arguments = [*PROGRAM, command[0], "--config", str(config), *command[1:]]
                 processes.append(subprocess.Popen(arguments, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL))
-            return _look(f"http://127.0.0.1:{port}/", folder)
+            with AtTerminal([*PROGRAM, "watch", "--config", str(config)], TERMINAL) as terminal:
+                made = _look(f"http://127.0.0.1:{port}/", folder, lambda: terminal.read(0.0))
+                terminal.read(0.5)
+                (folder / "watch.txt").write_text(terminal.shows("q quit") + "\n")
+            return [*made, folder / "watch.txt"]
         finally:
             for process in reversed(processes):
                 process.terminate()
@@ -50,7 +58,7 @@ def _config(folder: Path) -> Path:
     return path
 
 
-def _look(url: str, folder: Path) -> list[Path]:
+def _look(url: str, folder: Path, meanwhile: Callable[[], object]) -> list[Path]:
     made = []
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(
@@ -65,6 +73,7 @@ def _look(url: str, folder: Path) -> list[Path]:
         first = pages[0][1]
         while not _is_pushed(first.inner_text("#stroke-number")) and time.monotonic() < deadline:
             first.wait_for_timeout(200)
+            meanwhile()
         for file, page in pages:
             page.bring_to_front()
             page.wait_for_timeout(300)
