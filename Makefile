@@ -13,14 +13,17 @@ VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/installed
 
+# Compiled modules are kept: without them each process compiles all tests anew.
+export PYTHONDONTWRITEBYTECODE :=
+
 .PHONY: demo test browser screenshots acceptance coverage check bench docs faults rebase clean
 
 demo: $(INSTALLED)
 	$(BIN)/ramstroke demo --out demo
 
-# One process more than processors: many tests wait for real time.
+# One process more than processors: many tests wait for real time. In their own order, the longest come first.
 test: $(INSTALLED)
-	$(BIN)/python -m pytest -n $$(($$(nproc) + 1)) --maxprocesses 4 --dist loadscope
+	$(BIN)/python -m pytest -n $$(($$(nproc) + 1)) --maxprocesses 4 --dist loadscope --no-loadscope-reorder
 
 browser: $(INSTALLED)
 	$(BIN)/python -m pytest tests/browser

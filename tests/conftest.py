@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import gc
 import io
 import json
 import logging
+import os
 import shutil
 import sys
 import tempfile
@@ -25,9 +27,10 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_collection_finish() -> None:
-    """Thousands of collected tests stay to the end: the collector of garbage need not look at them again and again."""
+    """Thousands of collected tests stay to the end: the garbage collector need not look at them again and again."""
     gc.collect()
     gc.freeze()
+    gc.set_threshold(20_000, 20, 50)
 
 
 @dataclass(frozen=True)
@@ -46,11 +49,19 @@ class DemoRun:
 @pytest.fixture(scope="session")
 def demo_run(tmp_path_factory: pytest.TempPathFactory) -> DemoRun:
     """A whole push and retract, measured once for all tests; nobody changes the files."""
-    folder = tmp_path_factory.mktemp("demo") / "out"
-    printed = io.StringIO()
-    with contextlib.redirect_stdout(printed):
-        code = main(["demo", "--seed", "1", "--json", "--out", str(folder)])
-    return DemoRun(folder, code, json.loads(printed.getvalue()))
+    base = tmp_path_factory.getbasetemp()
+    shared = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "demo-run"
+    shared.mkdir(exist_ok=True)
+    folder, told = shared / "out", shared / "told.json"
+    with (shared / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not told.exists():
+            printed = io.StringIO()
+            with contextlib.redirect_stdout(printed):
+                code = main(["demo", "--seed", "1", "--json", "--out", str(folder)])
+            told.write_text(json.dumps([code, printed.getvalue()]))
+    code, answer = json.loads(told.read_text())
+    return DemoRun(folder, code, json.loads(answer))
 
 
 @pytest.fixture

@@ -61,8 +61,8 @@ def tilt_felt(to_sensor: np.ndarray[Any, Any], bias: np.ndarray[Any, Any]) -> tu
     return float(np.degrees(np.arctan2(y, np.hypot(x, z)))), float(np.degrees(np.arctan2(-x, z)))
 
 
-def test_both_sensors_are_aligned_and_compared(both: Path) -> None:
-    answer = told(both, "--grade", "adis16448_turn_on", "--heading", 35)
+def test_both_sensors_are_aligned_and_compared(rest: Path) -> None:
+    answer = told(rest, "--grade", "adis16448_turn_on", "--heading", 35)
     support = virtual_support(demo_settings(1, "both"), cycles=1)
     jy901 = support.jy901_input(np.eye(3))
     for told_of, to_sensor, errors in (

@@ -96,7 +96,7 @@ def test_blocks_of_any_size_give_the_same_bytes(beginning: list[tuple[str, Recor
     ones = run(demo_settings, in_blocks(beginning, 1))
     assert len(ones.of(topics.PROVISIONAL)) == len(ones.of(topics.SETTLED)) > SECONDS * 95
     assert any(isinstance(r, Event) and "start" in r.what for _, r in ones.records)
-    for size in (8, 13, 64):
+    for size in (13, 64):
         assert run(demo_settings, in_blocks(beginning, size)).taken == ones.taken
 
 
