@@ -112,9 +112,9 @@ def start_service() -> None:
     run("systemctl", "start", "ramstroke")
 
 
-def properties(*names: str) -> dict[str, str]:
-    """What systemd says of the service."""
-    said = run("systemctl", "show", "ramstroke", f"--property={','.join(names)}")
+def properties(*names: str, unit: str = "ramstroke") -> dict[str, str]:
+    """What systemd says of the service, or of another unit."""
+    said = run("systemctl", "show", unit, f"--property={','.join(names)}")
     return dict(line.split("=", 1) for line in said.splitlines())
 
 
