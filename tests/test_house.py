@@ -128,3 +128,9 @@ def test_an_installed_wheel_finds_its_dbc_files(wheel: Path, tmp_path: Path) -> 
         [sys.executable, "-c", program], capture_output=True, text=True, cwd=tmp_path, timeout=60, check=True
     )
     assert ended.stdout == f"{site}/config/dbc\ngood.toml: good\n"
+
+
+def test_the_readme_shows_the_terminal_as_it_was_last_pictured() -> None:
+    shown = (HOUSE / "docs" / "images" / "watch.txt").read_text()
+    assert "LIVE" in shown
+    assert f"```\n{shown}```\n" in (HOUSE / "README.md").read_text()

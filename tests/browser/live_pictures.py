@@ -23,7 +23,7 @@ IMAGES = Path(__file__).parents[2] / "docs" / "images"
 PUSHED_MM = 430.0  # by then the plots are full
 PATIENCE_S = 180.0
 SIZES = {"live.png": (1366, 768), "live-phone.png": (390, 844)}
-TERMINAL = (100, 30)  # columns, lines
+TERMINAL = (84, 24)  # columns, lines
 PROGRAM = (sys.executable, "-m", "daemon.cli")
 
 
@@ -48,9 +48,10 @@ def shoot(folder: Path) -> list[Path]:
 
 
 def _config(folder: Path) -> Path:
+    """A quarter of the samples: browsers and support share this computer."""
     path = folder / "pictures.toml"
     path.write_text(
-        f'[imu]\ntransport = "virtual"\n[can]\ninterface = "virtual"\nchannel = "{folder}"\n'
+        f'[imu]\ntransport = "virtual"\ndecimation_exponent = 2\n[can]\ninterface = "virtual"\nchannel = "{folder}"\n'
         f'[recording]\ndirectory = "{folder}/recordings"\nkeep_free_mb = 0\n'
         f'[service]\nsocket = "{folder}/live"\nstate_file = "{folder}/state.json"\n'
         "[simulation]\nseed = 1\n"
