@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from daemon.configuration import ConfigurationError
+from daemon.extras import needs
 from daemon.recording.errors import RecordingError
 from drivers.adis16448.device import ImuError
 from drivers.can.settings import CanConfigError
@@ -28,7 +29,7 @@ def describe(error: Exception) -> tuple[int, list[str]] | None:
     if isinstance(error, RecordingError | CommandError | ImuError):
         return FAILED, [str(error)]
     if isinstance(error, ModuleNotFoundError) and (missing := (error.name or "").partition(".")[0]) in OFFLINE:
-        return FAILED, [f'this needs the package {missing}: pip install "ramstroke[offline]"']
+        return FAILED, [needs("this", f"the package {missing}", "offline")]
     if isinstance(error, OSError):
         name = f"{error.filename}: " if error.filename else ""
         return FAILED, [f"{name}{error.strerror or error}"]

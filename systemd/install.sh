@@ -5,6 +5,7 @@
 # --with: what else it shall be able to do, such as view, the live page.
 # Into an environment of its own, /opt/ramstroke. Recordings, configuration and learned state stay as they are.
 set -eu
+umask 022 # the service's user must be able to read what root writes
 PREFIX="${PREFIX:-/opt/ramstroke}"
 PYTHON="${PYTHON:-python3}"
 
@@ -23,7 +24,10 @@ while :; do
             ;;
         --with)
             known=view,foxglove,offline,parquet,tuning
-            for extra in $(echo "${2:-nothing}" | tr , ' '); do
+            case "${2:-}" in
+                '' | ,* | *, | *,,* | *[!a-z,]*) refuse "--with needs names, separated by commas, of $known" ;;
+            esac
+            for extra in $(echo "$2" | tr , ' '); do
                 case ",$known," in
                     *",$extra,"*) ;;
                     *) refuse "--with $extra is unknown; there are $known" ;;
@@ -32,6 +36,7 @@ while :; do
             EXTRAS="$EXTRAS,$2"
             shift 2
             ;;
+        -*) refuse "$1 is unknown; there are --offline and --with EXTRA,..." ;;
         *) break ;;
     esac
 done

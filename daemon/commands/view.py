@@ -64,6 +64,7 @@ def _serve_page(arguments: argparse.Namespace) -> int:
 
     from daemon.configuration import load
     from daemon.errors import CommandError
+    from daemon.extras import needs
     from daemon.settings import Settings
     from daemon.view import token as tokens
     from daemon.view.guard import Guard, is_loopback
@@ -72,7 +73,7 @@ def _serve_page(arguments: argparse.Namespace) -> int:
     try:
         import aiohttp as _  # noqa: F401  # a missing extra is told before anything is begun
     except ImportError as error:
-        raise CommandError('the live page needs aiohttp: pip install "ramstroke[view]"') from error
+        raise CommandError(needs("the live page", "aiohttp", "view")) from error
 
     settings = load(arguments.config) if arguments.config else Settings()
     port = arguments.port or PORT

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from daemon.doctor import node
 from daemon.doctor.report import Check, fault, ok, warning
+from daemon.extras import how_to_bring
 from drivers.adis16448.configuration import ImuSettings
 from drivers.adis16448.device import Adis16448
 from drivers.adis16448.probe import LineKind, LineReaction, edges_per_second, is_inverted, line_reaction
@@ -46,7 +47,7 @@ def examine(device: Adis16448, clock: Clock, open_line: OpenLine | None, others:
     except DataReadyError as error:
         what, _, advice = str(error).rpartition("; ")
         if "missing, install" in str(error):
-            what, advice = str(error), "pip install 'ramstroke[hardware]'"
+            what, advice = str(error), how_to_bring("hardware")
         else:
             advice = f"{advice} in [imu] to the line that the wire is on; gpioinfo lists all lines and who uses them"
         return fault(NAME, what, advice)

@@ -8,6 +8,7 @@ import platform
 
 from daemon.doctor.patient import Patient
 from daemon.doctor.report import Check, fault, ok
+from daemon.extras import how_to_bring
 from daemon.recording.metadata import program_version
 from daemon.settings import Settings
 from drivers.can.dbc import find_signal
@@ -42,7 +43,7 @@ def judge_modules(settings: Settings) -> Check:
         return fault(
             PROGRAM,
             f"missing Python modules: {', '.join(missing)}; {found}",
-            "pip install 'ramstroke[hardware]' into the environment of the program",
+            how_to_bring("hardware"),
             missing=missing,
             **figures,
         )

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from daemon.errors import CommandError
+from daemon.extras import needs
 from daemon.offline.pictures import save_picture
 from drivers.virtual.motion import Trajectory
 from estimation.records import Displacement, Estimate, Segment
@@ -32,7 +33,7 @@ def plot_demo(path: Path, truth: Trajectory, settled: Sequence[Estimate], observ
         import numpy as np
         from matplotlib import pyplot
     except ImportError as error:
-        raise PlotError('plots need matplotlib: pip install "ramstroke[offline]"') from error
+        raise PlotError(needs("a plot", "matplotlib", "offline")) from error
 
     t_s = np.array([e.t_ns for e in settled]) * 1e-9
     p_mm = np.array([e.displacement_m for e in settled]) * 1e3

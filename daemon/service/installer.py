@@ -31,6 +31,7 @@ FILES = {
 DROP_INS = UNITS / "ramstroke.service.d"
 REALTIME = DROP_INS / "realtime.conf"
 TRIAL = DROP_INS / "trial.conf"
+TRIALS = {TRIAL: "ramstroke-trial.conf", UNITS / "ramstroke-view.service.d" / "trial.conf": "ramstroke-view-trial.conf"}
 _MADE = (
     ("systemd-sysusers", "/etc/sysusers.d/ramstroke.conf"),
     ("systemd-tmpfiles", "--create", "/etc/tmpfiles.d/ramstroke.conf"),
@@ -110,17 +111,19 @@ def install(host: Host, *, realtime: bool, trial: bool | None) -> None:
     if realtime:
         host.write(REALTIME, shipped("ramstroke-realtime.conf"))
     if trial or (trial is None and host.has(TRIAL)):
-        host.write(TRIAL, fitted("ramstroke-trial.conf"))
+        for path, name in TRIALS.items():
+            host.write(path, fitted(name))
         _write_configuration(host, TRIAL_CONFIGURATION, "trial_service.toml")
     elif host.has(TRIAL):
-        host.delete(TRIAL)
-        _delete_if_empty(host, DROP_INS)
+        for path in TRIALS:
+            host.delete(path)
+            _delete_if_empty(host, path.parent)
         host.run("systemctl", "stop", "ramstroke-sim.service")
     _write_configuration(host, CONFIGURATION, "ramstroke.toml")
     _link_command(host)
     for command in _MADE:
         host.run(*command)
-    host.run("systemctl", "try-restart", "ramstroke.service")  # an upgrade of what runs
+    host.run("systemctl", "try-restart", "ramstroke.service", "ramstroke-view.service")  # an upgrade of what runs
 
 
 def configuration_in_use(host: Host) -> Path:
@@ -133,13 +136,14 @@ def remove(host: Host, *, purge: bool) -> None:
     units = [name for name, path in FILES.items() if path.parent == UNITS and host.has(path)]
     if units:
         host.run("systemctl", "disable", "--now", *units)
-    for path in (*FILES.values(), REALTIME, TRIAL, COMMAND):
+    for path in (*FILES.values(), REALTIME, *TRIALS, COMMAND):
         host.delete(path)
-    for folder in (DROP_INS, FILES["ramstroke.sysusers.conf"].parent):
+    drop_ins = [path.with_name(f"{name}.d") for name, path in FILES.items() if path.parent == UNITS]
+    for folder in (*drop_ins, FILES["ramstroke.sysusers.conf"].parent):
         _delete_if_empty(host, folder)
     host.run("systemctl", "daemon-reload")
     host.run("udevadm", "control", "--reload")
-    for path in (CONFIGURATION.parent, STATE, DROP_INS):
+    for path in (CONFIGURATION.parent, STATE, *drop_ins):
         if purge:
             host.delete(path)
         elif host.has(path):

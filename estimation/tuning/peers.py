@@ -34,7 +34,7 @@ def cma_es(search: Search, rng: np.random.Generator) -> None:
     try:
         import cma
     except ImportError:
-        raise ValueError("the method cma needs the package cma: pip install 'ramstroke[tuning]'") from None
+        raise ValueError("the method cma needs the package cma, of the extra `tuning`") from None
     width, d = search.high - search.low, search.dimension
     walked = max(d, 2)  # it is not made for one dimension: a second one that does nothing
 

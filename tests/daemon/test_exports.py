@@ -14,6 +14,7 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
 from daemon.cli import main
+from daemon.extras import needs
 from daemon.offline.exports import pictures
 from daemon.offline.exports.csv_tables import CsvWriter
 from daemon.recording import topics
@@ -207,7 +208,7 @@ def test_without_pyarrow_one_sentence_says_what_to_install(
 ) -> None:
     monkeypatch.setitem(__import__("sys").modules, "pyarrow", None)
     assert main(["review", str(PARTIAL), "--parquet", str(tmp_path / "p")]) == 1
-    assert capsys.readouterr().err == 'ramstroke: --parquet needs pyarrow: pip install "ramstroke[parquet]"\n'
+    assert capsys.readouterr().err == f"ramstroke: {needs('--parquet', 'pyarrow', 'parquet')}\n"
 
 
 def test_pictures_of_the_whole_and_of_each_move_as_png_and_pdf(

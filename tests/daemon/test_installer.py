@@ -20,6 +20,7 @@ from daemon.service.installer import (
     STATE,
     TRIAL,
     TRIAL_CONFIGURATION,
+    UNITS,
     configuration_in_use,
     shipped,
 )
@@ -102,6 +103,8 @@ def test_a_trial_has_its_own_configuration_outlasts_an_upgrade_and_is_ended(
     assert "until: sudo ramstroke install-service --no-trial" in capsys.readouterr().out
     drop_in = (tmp_path / TRIAL).read_text()
     assert f"ExecStart={sys.prefix}/bin/ramstroke run --config /{TRIAL_CONFIGURATION}" in drop_in
+    of_page = tmp_path / UNITS / "ramstroke-view.service.d"
+    assert f"ramstroke view --config /{TRIAL_CONFIGURATION}" in (of_page / "trial.conf").read_text()
     assert configuration_in_use(host) == TRIAL_CONFIGURATION
     real, own = tmp_path / CONFIGURATION, "[simulation]\nseed = 3\n"
     before = real.read_text()
@@ -113,6 +116,7 @@ def test_a_trial_has_its_own_configuration_outlasts_an_upgrade_and_is_ended(
     assert install(tmp_path, "--no-trial") == 0
     assert "on trial" not in capsys.readouterr().out
     assert not (tmp_path / DROP_INS).exists()
+    assert not of_page.exists()
     assert configuration_in_use(host) == CONFIGURATION
     assert real.read_text() == before
     assert (tmp_path / TRIAL_CONFIGURATION).read_text() == own
@@ -129,13 +133,24 @@ def test_a_trial_is_not_started_with_a_bad_configuration(tmp_path: Path, capsys:
 
 def test_what_people_wrote_for_the_unit_stays_without_purge(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert install(tmp_path, "--realtime", "--trial") == 0
-    own = tmp_path / DROP_INS / "override.conf"
-    own.write_text("[Service]\nReadWritePaths=/mnt/recordings\n")
+    folders = DROP_INS, UNITS / "ramstroke-view.service.d"
+    for folder in folders:
+        (tmp_path / folder / "override.conf").write_text("[Service]\nReadWritePaths=/mnt/recordings\n")
     assert main(["remove-service", "--root", str(tmp_path)]) == 0
-    assert f"kept /{DROP_INS}" in capsys.readouterr().out
-    assert [path.name for path in own.parent.iterdir()] == ["override.conf"]
+    said = capsys.readouterr().out
+    for folder in folders:
+        assert f"kept /{folder}" in said
+        assert [path.name for path in (tmp_path / folder).iterdir()] == ["override.conf"]
     assert main(["remove-service", "--root", str(tmp_path), "--purge"]) == 0
-    assert not own.parent.exists()
+    for folder in folders:
+        assert not (tmp_path / folder).exists()
+
+
+def test_an_upgrade_restarts_what_runs_the_page_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    ran: list[tuple[str, ...]] = []
+    monkeypatch.setattr(installer.Host, "run", lambda _, *command: ran.append(command))
+    assert install(tmp_path) == 0
+    assert ran[-1] == ("systemctl", "try-restart", "ramstroke.service", "ramstroke-view.service")
 
 
 @pytest.mark.parametrize("command", ["install-service", "remove-service"])

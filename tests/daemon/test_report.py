@@ -325,7 +325,7 @@ def test_without_plotly_one_sentence_says_what_to_install(
 ) -> None:
     monkeypatch.setitem(__import__("sys").modules, "plotly.offline", None)
     assert main(["review", str(PARTIAL), "-o", str(tmp_path / "report.html")]) == 1
-    assert 'a report needs plotly: pip install "ramstroke[offline]"' in capsys.readouterr().err
+    assert "a report needs plotly: `systemd/install.sh --with offline WHEEL` as root" in capsys.readouterr().err
 
 
 def test_the_page_grows_by_what_is_seen_not_by_what_was_recorded(tmp_path: Path) -> None:

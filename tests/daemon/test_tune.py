@@ -219,4 +219,4 @@ def test_without_the_offline_packages_the_extra_is_named(
     monkeypatch.setitem(sys.modules, "scipy", None)  # so an import fails
     code, said = refused(capsys, RECORDING)
     assert code == 1
-    assert 'scipy: pip install "ramstroke[offline]"' in said
+    assert '`pip install ".[offline]"` in the sources' in said

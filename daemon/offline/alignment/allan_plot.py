@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from daemon.extras import needs
 from daemon.offline.alignment.allan import Allan, Axis
 from daemon.offline.alignment.allan_report import ACCEL, GYRO, Units
 from daemon.offline.pictures import save_picture
@@ -25,7 +26,7 @@ def plot_allan(path: Path, found: Allan) -> None:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
     except ImportError as error:
-        raise PlotError('plots need matplotlib: pip install "ramstroke[offline]"') from error
+        raise PlotError(needs("a plot", "matplotlib", "offline")) from error
     figure = Figure(figsize=(11, 5.5), layout="constrained")
     FigureCanvasAgg(figure)
     figure.suptitle(

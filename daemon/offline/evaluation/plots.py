@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from daemon.extras import needs
 from daemon.offline.evaluation.score import SIGMAS_95, MoveScore, SeedResult
 from daemon.offline.evaluation.summary import row_names
 from daemon.offline.pictures import save_picture
@@ -25,7 +26,7 @@ SIGMAS_SHOWN = 4.0
 def require_matplotlib() -> None:
     """Raises PlotError where nothing can be drawn."""
     if find_spec("matplotlib") is None:
-        raise PlotError('plots need matplotlib: pip install "ramstroke[offline]"')
+        raise PlotError(needs("a plot", "matplotlib", "offline"))
 
 
 def plot_evaluation(results: list[SeedResult], folder: Path) -> Path:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from daemon.errors import CommandError
+from daemon.extras import needs
 from daemon.offline.exports.tables import Cell, Kind, Table
 from daemon.offline.whole_file import whole_file
 
@@ -76,7 +77,7 @@ def require_pyarrow() -> None:
     try:
         import pyarrow  # noqa: F401  # only whether it is there
     except ImportError as error:
-        raise ParquetError('--parquet needs pyarrow: pip install "ramstroke[parquet]"') from error
+        raise ParquetError(needs("--parquet", "pyarrow", "parquet")) from error
 
 
 def _value(kind: Kind, cell: Cell) -> Cell:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from daemon.extras import needs
 from daemon.offline.plots import BLUE, GREEN, GREY, ORANGE, VERMILION, PlotError
 from daemon.offline.report.collecting import SEGMENTS, Collector
 from daemon.offline.report.findings import STANDS_NS
@@ -69,7 +70,7 @@ def _draw(shown: _Shown, path: Path, ending: str) -> None:
         matplotlib.use("Agg")
         from matplotlib import pyplot
     except ImportError as error:
-        raise PlotError('--png needs matplotlib: pip install "ramstroke[offline]"') from error
+        raise PlotError(needs("--png", "matplotlib", "offline")) from error
     figure, axes = pyplot.subplots(
         3, 1, sharex=True, figsize=(7.2, 6.4), height_ratios=(3, 1.6, 1.6), layout="constrained"
     )

@@ -10,6 +10,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from daemon.errors import CommandError
+from daemon.extras import needs
 from daemon.offline.report import sections
 from daemon.offline.report.collecting import Collector
 from daemon.offline.report.findings import move_findings, summary
@@ -66,7 +67,7 @@ def require_plotly() -> str:
     try:
         from plotly.offline import get_plotlyjs
     except ImportError as error:
-        raise ReportError('a report needs plotly: pip install "ramstroke[offline]"') from error
+        raise ReportError(needs("a report", "plotly", "offline")) from error
     # Nothing in a script may look like its end.
     return str(get_plotlyjs()).replace("</script", "<\\/script")
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from daemon.errors import CommandError, UsageError
+from daemon.extras import needs
 from daemon.service.live_client import Gone, LiveLink, Silent
 from daemon.view.foxglove.channels import LOG_TOPIC, SCHEMAS, TOPICS
 
@@ -66,7 +67,7 @@ class _Publisher:
         try:
             import foxglove
         except ModuleNotFoundError as error:
-            raise CommandError('this needs the package foxglove-sdk: pip install "ramstroke[foxglove]"') from error
+            raise CommandError(needs("this", "the package foxglove-sdk", "foxglove")) from error
         self._context = context = foxglove.Context()  # closes its channels when it goes
         self._status_levels = foxglove.websocket.StatusLevel
         self._channels: dict[str, Channel] = {

@@ -246,5 +246,5 @@ def test_a_port_in_use_is_told(short_path: Path) -> None:
 
 def test_without_the_package_it_says_what_to_install(short_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "foxglove", None)
-    with pytest.raises(CommandError, match=r'pip install "ramstroke\[foxglove\]"'):
+    with pytest.raises(CommandError, match=r"foxglove-sdk: `systemd/install.sh --with foxglove WHEEL`"):
         serve(short_path / "s")

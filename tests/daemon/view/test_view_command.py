@@ -155,7 +155,10 @@ def test_a_missing_extra_is_told_in_one_sentence(
 ) -> None:
     monkeypatch.setitem(sys.modules, "aiohttp", None)
     assert main(["view"]) == 1
-    assert capsys.readouterr().err == 'ramstroke: the live page needs aiohttp: pip install "ramstroke[view]"\n'
+    assert capsys.readouterr().err == (
+        "ramstroke: the live page needs aiohttp: `systemd/install.sh --with view WHEEL` as root, "
+        'or `pip install ".[view]"` in the sources\n'
+    )
 
 
 def test_neither_a_daemon_in_full_spate_nor_a_deaf_browser_makes_it_grow(short_path: Path) -> None:

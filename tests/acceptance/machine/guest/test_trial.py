@@ -70,7 +70,7 @@ def test_samples_and_displacement_come_and_a_push_is_confirmed(journal: Journal)
     said = documented("sudo ramstroke status")
     (RESULTS / "status.txt").write_text(said)
     assert documented("candump -n 10 vcan0").count("vcan0") == 10
-    lines = documented("journalctl -u ramstroke -u ramstroke-sim -n 50")
+    lines = documented("sudo journalctl -u ramstroke -u ramstroke-sim -n 50")
     (RESULTS / "journal.txt").write_text(lines)
     assert "virtual support 1 on /run/ramstroke-sim/imu.sock" in run("journalctl", "--unit=ramstroke-sim")
 
