@@ -221,7 +221,7 @@ def test_missing_modules_are_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(program, "needed_modules", lambda _: ["ramstroke_nowhere"])
     check = program.judge_modules(settings)
     assert check.verdict is Verdict.FAULT
-    assert "ramstroke[hardware]" in check.advice
+    assert "`systemd/install.sh WHEEL`" in check.advice
 
 
 # --- the service ----------------------------------------------------------------------------------------------
