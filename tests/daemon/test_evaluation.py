@@ -351,4 +351,4 @@ def test_without_matplotlib_a_picture_is_refused_before_anything_is_computed(
     monkeypatch.setattr("daemon.offline.evaluation.plots.find_spec", lambda _: None)
     monkeypatch.setattr("daemon.offline.evaluation.runs.evaluate", lambda *_: pytest.fail("computed"))
     assert main(["evaluate", "--plot", str(tmp_path)]) == 1
-    assert "plots need matplotlib" in capsys.readouterr().err
+    assert "a plot needs matplotlib" in capsys.readouterr().err
